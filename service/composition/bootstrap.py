@@ -163,12 +163,12 @@ def build_alarms(
     url = _secret(settings.alarm_webhook_url)
     if url:
         # brings httpx along
-        from service.runtime.alarms.webhook import Webhook
+        from service.runtime.alarms.delivery import Webhook
 
         webhook = Webhook(url, _secret(settings.alarm_webhook_secret), clock.system_us)
         channels.append(NoticeChannel("webhook", webhook.deliver, conditions, from_severity))
     if settings.alarm_mail_host and settings.alarm_mail_to:
-        from service.runtime.alarms.mail import Mail, MailRoute
+        from service.runtime.alarms.delivery import Mail, MailRoute
 
         route = MailRoute(
             host=settings.alarm_mail_host,

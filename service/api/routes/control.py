@@ -51,7 +51,7 @@ from service.ports.archive import LIVE, SMOOTHED
 from service.records.calibration import Window
 from service.records.catalogue import Method
 from service.records.levels.attitude import AttitudeRow
-from service.runtime.control.automatic_release import AutomaticRelease
+from service.runtime.control.release_service import AutomaticRelease
 
 attitude_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/attitude", tags=["attitude"])
 
