@@ -40,8 +40,7 @@ from service.runtime.jobs.replay import Replayer, replay_work
 from service.runtime.jobs.smoothing import SmoothingConfig, SmoothingDue, SmoothingWork
 from service.runtime.live.leadership import Leading
 from service.runtime.live.live_feed import LiveFeed
-from service.runtime.live.step_failures import StepFailures
-from service.runtime.live.supervisor import Supervisor
+from service.runtime.live.supervisor import StepFailures, Supervisor
 
 if TYPE_CHECKING:
     from db.connection.engines import FileWatch

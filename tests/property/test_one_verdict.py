@@ -50,7 +50,7 @@ from service.records.epoch import format_epoch
 from service.records.inputs import Operation
 from service.records.levels.attitude import Axes, Status
 from service.records.levels.measurement import HeadState, Whereabouts
-from service.runtime.live.step_failures import StepFailures
+from service.runtime.live.supervisor import StepFailures
 
 NAN = float("nan")
 BAD_ROWS = st.sampled_from(

@@ -14,7 +14,7 @@ from concurrent.futures import Future
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import partial
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from service.errors import NotFoundError, StorageError
 from service.pipeline.chain import Chain
@@ -27,11 +27,11 @@ from service.records.inputs import AlignmentSet, Correction, JournalEntry
 from service.records.levels.attitude import AppliedCommand, AttitudeRow, CarrierState, ReleasedCommand, TorqueCommand
 from service.records.levels.measurement import BatchReceipt, HeadState, Measurement, MeasurementBatch
 from service.records.storage import Checkpoint
+from service.runtime.clock import system_now_us
 from service.runtime.live.chain_restart import PERIOD_US, ChainRestarts, checkpoint_of
 from service.runtime.live.journal_consumer import StepResults, consume, result_events, seen_of, trips_after
 from service.runtime.live.leadership import always, is_moving
 from service.runtime.live.live_feed import FeedEvent, FreshRows, LiveFeed, Relay, ReleaseWatcher, RowPublisher, Watcher
-from service.runtime.live.step_failures import StepFailures
 
 _LOG = logging.getLogger("soo.supervisor")
 
@@ -49,6 +49,71 @@ _BLOCK_S = 0.05
 _ANSWER_S = 0.5
 #: a journal may have grown by anything
 _UNKNOWN = math.inf
+
+
+#: of a failure that comes back with every try: a *step* that ends by an error stores nothing and is tried again, ever
+#: later; a *row* whose computation fails is stored without an attitude, and the next row is computed
+Kind = Literal["step", "row"]
+#: failures one after another that are no accident
+LASTING = 3
+#: wait before a step is tried again, s: as often as failures are an accident, and at most
+_RETRY_S, _LONGEST_RETRY_S = 1.0, 60.0
+
+
+class StepFailure(NamedTuple):
+    """Failures of one spacecraft without a success between them."""
+
+    spacecraft_id: str
+    kind: Kind
+    #: the first of them
+    error: str
+    since_us: int
+    times: int
+    #: when the step is tried again, by the clock of waits
+    retry_s: float
+
+
+class StepFailures:
+    """Failures of the spacecraft that a service estimates; safe from any thread.
+
+    Parameters
+    ----------
+    now_us : callable
+        The system's present, microseconds UTC.
+    """
+
+    def __init__(self, now_us: Callable[[], int] = system_now_us) -> None:
+        self._now_us = now_us
+        self._lock = threading.Lock()
+        self._found: dict[tuple[str, Kind], StepFailure] = {}
+
+    def note(self, spacecraft_id: str, kind: Kind, error: str, *, is_outage: bool = False) -> None:
+        """Note one more failure; an outage of the database never lasts here: it has a readiness of its own."""
+        with self._lock:
+            first = self._found.get((spacecraft_id, kind))
+            times = 1 if first is None or is_outage else first.times + 1
+            wait_s = min(_LONGEST_RETRY_S, _RETRY_S * 2.0 ** max(0, times - LASTING))
+            error, since_us = (error, self._now_us()) if first is None else (first.error, first.since_us)
+            failure = StepFailure(spacecraft_id, kind, error, since_us, times, time.monotonic() + wait_s)
+            self._found[spacecraft_id, kind] = failure
+
+    def forget(self, spacecraft_id: str, *kinds: Kind) -> None:
+        """Forget failures of a spacecraft: a step or a row has succeeded, or another process estimates it."""
+        with self._lock:
+            for kind in kinds:
+                self._found.pop((spacecraft_id, kind), None)
+
+    def is_waiting(self, spacecraft_id: str) -> bool:
+        """Return whether the next step of a spacecraft is to wait."""
+        with self._lock:
+            failure = self._found.get((spacecraft_id, "step"))
+        return failure is not None and time.monotonic() < failure.retry_s
+
+    def lasting(self, spacecraft_id: str | None = None) -> tuple[StepFailure, ...]:
+        """Return the failures that are no accident, of one spacecraft or of all."""
+        with self._lock:
+            found = tuple(self._found.values())
+        return tuple(one for one in found if one.times >= LASTING and spacecraft_id in (None, one.spacecraft_id))
 
 
 #: newest rows of a method that are at hand without the archive

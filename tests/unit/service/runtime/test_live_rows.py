@@ -28,7 +28,6 @@ from service.records.inputs import (
 )
 from service.records.levels.attitude import Axes
 from service.records.levels.measurement import BatchReceipt, Measurement
-from service.runtime.live import step_failures
 from service.runtime.live.journal_consumer import MOTION_KINDS, STANDING_KINDS, DocumentCache, consume, update_before
 from service.runtime.live.live_feed import FreshRows, LiveFeed, RowPublisher
 
@@ -73,7 +72,7 @@ def test_a_full_disk_between_two_parts_loses_and_doubles_no_row(waiting, calls):
     whole, broken = waiting
     storage = ending(broken.storage, calls, full)
     with (
-        patch.object(step_failures, "_RETRY_S", 0.02),
+        patch.object(supervisor_module, "_RETRY_S", 0.02),
         patch.object(supervisor_module, "_ENTRIES_AT_ONCE", 10),
         broken.supervised(storage) as supervisor,
     ):

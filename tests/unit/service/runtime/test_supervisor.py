@@ -23,7 +23,6 @@ from service.pipeline.estimation.paper.runner import PaperRunner
 from service.records.catalogue import Release, Site, Spacecraft
 from service.records.inputs import Operation
 from service.records.levels.attitude import AppliedCommand, Status
-from service.runtime.live import step_failures
 from service.runtime.live import supervisor as live
 from service.runtime.live.chain_restart import ChainRestarts
 from service.runtime.live.live_feed import LiveFeed
@@ -157,7 +156,7 @@ def test_a_storage_that_fails_delays_rows_and_loses_none(new_ground, caplog, par
         plain.append(range(1, 61))
         plain.settle(supervisor)
     with (
-        patch.object(step_failures, "_RETRY_S", 0.02),
+        patch.object(supervisor_module, "_RETRY_S", 0.02),
         patch.object(supervisor_module, "_ENTRIES_AT_ONCE", 400),
         faulty.supervised(failing(faulty.storage, part, method, calls)) as supervisor,
     ):
@@ -364,7 +363,7 @@ def test_the_rows_are_those_of_a_service_that_was_never_killed(
     monkeypatch.setattr(live, "_STEP_S", 0.0)
     monkeypatch.setattr(live, "_ENTRIES_AT_ONCE", 1)
     monkeypatch.setattr(live, "PERIOD_US", rng.choice([1, 7, 60]) * MINUTE_US)
-    monkeypatch.setattr(step_failures, "_RETRY_S", 60.0)
+    monkeypatch.setattr(live, "_RETRY_S", 60.0)
     kills = 0
     for _ in morning(broken):
         while live_and_die(broken, rng):
