@@ -314,7 +314,7 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
 
     async def stop() -> None:
         running = (release_service.stop, supervisor.stop, alarms.stop)
-        for end in (worker.stop, jobs.stop, *running, leading.stop, storage.close):
+        for end in (partial(jobs.stop, worker.stop), *running, leading.stop, storage.close):
             await asyncio.to_thread(end)
 
     context = ApiContext(

@@ -165,10 +165,11 @@ class JobRunner:
         self._thread = threading.Thread(target=self._run, name="soo-jobs", daemon=True)
         self._thread.start()
 
-    def stop(self) -> None:
-        """End the thread behind the piece in hand; jobs stay open."""
+    def stop(self, end_piece: Callable[[], None] = lambda: None) -> None:
+        """End the piece in hand and then the thread; jobs stay open."""
         self._is_stopping = True
         self._wake.set()
+        end_piece()
         if self._thread is not None:
             self._thread.join()
 
@@ -332,11 +333,11 @@ class JobWorker:
 
     def _begun(self) -> ProcessPoolExecutor:
         """Return the process, a new one where there is none."""
-        if self._pool is None:
+        if self._pool is None and not self._is_ended:
             self._pool = pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_begin)
             # starting a process is no part of the work's time
             self._process_id = pool.submit(os.getpid).result(_START_TIMEOUT_S)
-        if self._is_ended:
+        if self._is_ended or self._pool is None:
             raise BrokenProcessPool
         return self._pool
 
