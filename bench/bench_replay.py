@@ -27,7 +27,7 @@ from service.records.catalogue import Method
 from service.records.levels.measurement import Measurement
 from service.records.operations.work import Job, JobState, Replay
 from service.records.storage import sqlite_url
-from service.runtime.jobs.replay_run import ReplayRun
+from service.runtime.jobs.replay import ReplayRun
 from tests.fakes.worlds.geometry_flight import HOUR, MINUTE, SC, START_US, FlightPayload
 
 CARRIERS = 16
@@ -96,7 +96,7 @@ def _replay(storage: SqlStorage, config: ChainConfig, rows: int) -> tuple[float,
     """Run one replay; return the processor time of all threads, and that of the steps of its chain."""
     start_us = START_US + HOUR
     job = Job(secrets.token_hex(8), "replay", JobState.RUNNING, 0.0, start_us)
-    storage.results.add_job(job)
+    storage.results.add_job(job, "bench")
     stop_us = start_us + (rows + 1) * MINUTE
     wanted = Replay(0, start_us, stop_us, Method.ROBUST, None, 1, "journal", job.id, start_us, commands=False)
     replay = storage.results.add_replay(SC, wanted)
@@ -111,7 +111,7 @@ def _replay(storage: SqlStorage, config: ChainConfig, rows: int) -> tuple[float,
 
     with patch.object(Chain, "step", timed):
         began_s = time.process_time()
-        ReplayRun(storage, config, SC, replay.version).run(lambda _: None)
+        ReplayRun(storage, config, SC, replay.version).run()
         taken_s = time.process_time() - began_s
     stored = storage.results.replay(SC, replay.version)
     assert (stored.attitude_rows, stored.torque_rows) == (rows, 0)

@@ -25,6 +25,7 @@ from db.storage import SqlStorage
 from service.composition.bootstrap import build_app, build_maintenance
 from service.composition.settings import Settings
 from service.ports.archive import LIVE, Outcome
+from service.ports.storage import ClockReading
 from service.records.calibration import (
     Alignment,
     CalibrationMethod,
@@ -33,7 +34,7 @@ from service.records.calibration import (
     Observability,
     Window,
 )
-from service.records.catalogue import Method
+from service.records.catalogue import Method, Spacecraft
 from service.records.levels.attitude import NO_ANGLES, Axes
 from service.records.levels.measurement import Measurement
 from service.records.storage import sqlite_url
@@ -128,7 +129,7 @@ def fill(path: Path, rows: int) -> None:
         storage.results.save_outcomes("bench", LIVE, results, measured[-1].number, measured[-1].epoch_us)
     settings = Settings.model_validate({"clock": "data"})
     app_clock = _Clock(START_US + (rows + 1440) * STEP_US)
-    build_maintenance(settings, storage, app_clock).poll_once()
+    build_maintenance(settings, storage, app_clock).do_all()
     storage.close()
 
 
@@ -137,6 +138,10 @@ class _Clock:
 
     def __init__(self, epoch_us: int) -> None:
         self._epoch_us = epoch_us
+
+    def reading(self, _: Spacecraft, _newest_us: int | None) -> ClockReading:
+        """Return the time of a spacecraft."""
+        return ClockReading(is_data=False, now_us=self._epoch_us)
 
     def now_us(self, _: str) -> int:
         """Return the time of a spacecraft."""

@@ -12,6 +12,7 @@ import tempfile
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -25,15 +26,13 @@ from service.records.calibration import CalibrationRequest, Window
 from service.records.catalogue import Method
 from service.records.inputs import AttitudeReference
 from service.records.levels.attitude import Axes
-from service.records.operations.work import JobState, Replay
+from service.records.operations.work import JobKind, JobState, Replay
 from service.records.storage import sqlite_url
 from service.runtime.clock import SystemClock
 from service.runtime.jobs.alignment_service import Aligner, AlignmentRequest
-from service.runtime.jobs.calibration_job import Calibrator, fitted
-from service.runtime.jobs.job_runner import JobRunner
-from service.runtime.jobs.replay_job import Replayer
-from service.runtime.jobs.replay_run import ReplayRun
-from service.study.executors import SerialExecutor
+from service.runtime.jobs.calibration import CalibrationWork, Calibrator
+from service.runtime.jobs.job_runner import JobPieces, JobRunner, Work
+from service.runtime.jobs.replay import Replayer, replay_work
 from tests.fakes.worlds.geometry_flight import START_US as FLIGHT_US
 from tests.fakes.worlds.geometry_flight import FlightPayload
 from tests.fakes.worlds.geometry_payload import HOUR, MINUTE, GeometryPayload, S, turned_angles
@@ -103,6 +102,11 @@ def fill_calibration(url: str, days: float) -> None:
             _refer(storage, spacecraft.id, epochs_us, angles + 0.005 * rng.normal(size=angles.shape))
 
 
+def _jobs(storage: SqlStorage, kind: JobKind, work: Work) -> JobRunner:
+    """Return what runs the jobs of a kind in this process."""
+    return JobRunner(storage, SystemClock(), JobPieces({kind: work}).advance)
+
+
 def calibration_mb(url: str, days: float) -> float:
     """Return the growth by a calibration of the archive."""
     config, request = CalibrationConfig(), GeometryPayload.make(CARRIERS, quiet_days=days).request
@@ -110,9 +114,10 @@ def calibration_mb(url: str, days: float) -> float:
     with closing(SqlStorage(url)) as storage:
 
         def calibrate() -> None:
-            jobs = JobRunner(storage.results, SystemClock(), SerialExecutor())
-            calibrator = Calibrator(storage, SystemClock(), jobs, lambda data: fitted(config, data), 1)
-            _draft, job = calibrator.start("yamal-test", request, "bench")
+            jobs = _jobs(storage, JobKind.CALIBRATION, CalibrationWork(storage, config))
+            _draft, job = Calibrator(storage, SystemClock(), jobs.notify, 1).start("yamal-test", request, "bench")
+            while jobs.poll_once():
+                pass
             assert storage.results.job(job.id).state is JobState.DONE, storage.results.job(job.id).error
 
         return growth_mb(calibrate)
@@ -153,10 +158,8 @@ def replay_mb(url: str, rows: int) -> float:
     with closing(SqlStorage(url)) as storage:
         config = ChainConfig()
 
-        def run(spacecraft_id: str, version: str, report: Callable[[float], None]) -> None:
-            ReplayRun(storage, config, spacecraft_id, version).run(report)
-
-        replayer = Replayer(storage, SystemClock(), JobRunner(storage.results, SystemClock(), SerialExecutor()), run)
+        jobs = _jobs(storage, JobKind.REPLAY, partial(replay_work, storage, config))
+        replayer = Replayer(storage, SystemClock(), jobs.notify)
 
         def replay(minutes: int) -> None:
             start_us = FLIGHT_US + HOUR
@@ -164,6 +167,8 @@ def replay_mb(url: str, rows: int) -> float:
                 0, start_us, start_us + minutes * MINUTE, Method.ROBUST, None, 0, "journal", "", 0, commands=False
             )
             _replay, job = replayer.start("yamal-test", wanted)
+            while jobs.poll_once():
+                pass
             assert storage.results.job(job.id).state is JobState.DONE, storage.results.job(job.id).error
 
         replay(300)

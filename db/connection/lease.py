@@ -20,7 +20,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from db.connection.engines import end_stopped_writers, session_engine, translated_faults
 from db.schema.tables import LEASE_US, MEMBERS_LOCK, SERVER_NOW_US, lease, live_member, member
 from service.errors import StorageError
-from service.ports.storage import ARCHIVE, Leases, Term
+from service.ports.storage import ARCHIVE, LeaseLoan, Leases, Term
 from service.records.epoch import US_PER_S
 
 if TYPE_CHECKING:
@@ -124,6 +124,13 @@ class FileLeases:
 
     def announce(self, spacecraft_ids: Iterable[str]) -> None:
         """Announce nothing."""
+
+    def lend(self) -> LeaseLoan | None:
+        """Return None: a process of ours ends with this one, and with it the lock."""
+        return None
+
+    def borrow(self, loan: LeaseLoan | None) -> None:
+        """Do nothing, as nothing is lent."""
 
     def give_back(self) -> None:
         """Let another process have it."""
@@ -341,6 +348,16 @@ class ServerLeases:
             _log.info("changes were not announced, other processes find them by their polls: %s", fault)
             _close(self._announcer)
             self._announcer = None
+
+    def lend(self) -> LeaseLoan | None:
+        """Return number and terms of this process."""
+        return (self.member, dict(self._terms)) if self._is_wanted else None
+
+    def borrow(self, loan: LeaseLoan | None) -> None:
+        """Take over number and terms of another process; the server compares them at every write."""
+        if loan is not None:
+            self._is_wanted, (self.member, terms) = True, loan
+            self._terms = dict(terms)
 
     def give_back(self) -> None:
         """End the session, and all leases with it."""

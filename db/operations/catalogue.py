@@ -4,20 +4,47 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from sqlalchemy import Connection, Row, Select, Table, delete, select, update
+from sqlalchemy import Connection, Row, Select, Table, case, delete, func, select, true, update
 from sqlalchemy.exc import IntegrityError
 
 from db.database import EpochSpan, Repository, add_entries, count_entries, lock_head, next_id
 from db.documents import damaged_documents, with_digest
 from db.encoding.record_codec import decode, decode_all, encode, encode_all
-from db.schema.tables import calibration, carrier_plan, ephemeris, head, measurement, segment, source
+from db.measurements.journal_heads import HEAD_COLUMNS
+from db.schema.tables import (
+    alignment,
+    calibration,
+    carrier_plan,
+    ephemeris,
+    head,
+    journal,
+    link,
+    measurement,
+    retention_mark,
+    segment,
+    source,
+)
 from db.schema.tables import spacecraft as spacecraft_table
 from service.errors import ConflictError, NotFoundError
+from service.records.calibration import CalibrationState
 from service.records.catalogue import Carrier, CarrierPlan, Ephemeris, Spacecraft
 from service.records.inputs import EphemerisChange, PlanChange, SpacecraftChange
+from service.records.levels.measurement import HeadState, SourceState, Whereabouts
 
 #: in place of the digest of a withdrawn plan: its content is not found again, rows of it stay readable
 _WITHDRAWN = "withdrawn"
+
+
+#: in the order of `SourceState`
+_SOURCE_COLUMNS = (
+    source.c.name,
+    source.c.is_prime,
+    source.c.newest_epoch_us,
+    source.c.row_count,
+    source.c.rows_missing,
+    source.c.station,
+    source.c.key_id,
+)
 
 
 class SqlCatalogue(Repository):
@@ -37,8 +64,24 @@ class SqlCatalogue(Repository):
         query = select(spacecraft_table.c.document).join(head).where(spacecraft_table.c.id == spacecraft_id)
         row = self._database.fetch_one(query)
         if row is None:
-            raise NotFoundError("spacecraft.unknown", f"There is no spacecraft {spacecraft_id!r}.")
+            raise _no_spacecraft(spacecraft_id)
         return decode(Spacecraft, row.document, f"catalogue entry of {spacecraft_id}")
+
+    def whereabouts(self, spacecraft_id: str) -> Whereabouts:
+        """Return where everything of a spacecraft stands, by one statement."""
+        rows = self._database.fetch(_whereabouts(spacecraft_id))
+        if not rows:
+            raise _no_spacecraft(spacecraft_id)
+        row = rows[0]
+        sources = (each[-len(_SOURCE_COLUMNS) :] for each in rows)
+        states = tuple(
+            SourceState(name, "prime" if is_prime else "backup", *figures)
+            for name, is_prime, *figures in sources
+            if name is not None
+        )
+        newest = (row.input_number, row.alignment_id, row.calibration_id, row.kept_from_us)
+        links = (row.links, row.reported_us, row.resets, row.enabled)
+        return Whereabouts(HeadState(*row[: len(HEAD_COLUMNS)]), states, row.digest, *newest, links)
 
     def all_spacecraft(self) -> tuple[Spacecraft, ...]:
         """Return all spacecraft in order of id."""
@@ -88,6 +131,37 @@ class SqlCatalogue(Repository):
         key = self._database.key(spacecraft_id)
         with self._database.read() as connection:
             return tuple(damaged_documents(connection, key))
+
+
+def _no_spacecraft(spacecraft_id: str) -> NotFoundError:
+    return NotFoundError("spacecraft.unknown", f"There is no spacecraft {spacecraft_id!r}.")
+
+
+def _whereabouts(spacecraft_id: str) -> Select[Any]:
+    """Return the query for what `whereabouts` tells."""
+    key, own, mark = spacecraft_table.c.spacecraft_key, link.c, retention_mark.c
+    is_active = calibration.c.state == CalibrationState.ACTIVE.value
+    newest = {
+        "input_number": select(func.max(journal.c.number)).where(journal.c.spacecraft_key == key),
+        "alignment_id": select(func.max(alignment.c.alignment_id)).where(alignment.c.spacecraft_key == key),
+        "calibration_id": select(func.max(calibration.c.calibration_id)).where(
+            calibration.c.spacecraft_key == key, is_active
+        ),
+        "kept_from_us": select(mark.kept_from_us).where(mark.spacecraft_key == key, mark.series == "attitude"),
+    }
+    # instants are added: a report that comes late must count as well
+    reports = select(
+        func.count().label("links"),
+        func.coalesce(func.sum(own.reported_at_us), 0).label("reported_us"),
+        func.coalesce(func.sum(own.resets), 0).label("resets"),
+        func.coalesce(func.sum(case((own.enabled, 1), else_=0)), 0).label("enabled"),
+    ).where(own.spacecraft_id == spacecraft_id)
+    links = reports.subquery()
+    numbers = (query.scalar_subquery().label(name) for name, query in newest.items())
+    columns = (*HEAD_COLUMNS, spacecraft_table.c.digest, *numbers, *links.c, *_SOURCE_COLUMNS)
+    joined = spacecraft_table.join(head).join(links, true()).outerjoin(source, source.c.spacecraft_key == key)
+    query = select(*columns).select_from(joined).where(spacecraft_table.c.id == spacecraft_id)
+    return query.order_by(source.c.source_key)
 
 
 def _insert_spacecraft(connection: Connection, spacecraft: Spacecraft) -> None:

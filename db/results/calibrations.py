@@ -8,6 +8,7 @@ from sqlalchemy import Connection, Row, Select, select, update
 from db.database import EpochSpan, Repository, add_entries, count_entries, lock_head, next_id
 from db.documents import differs, digest_of, with_digest
 from db.encoding.record_codec import decode, encode
+from db.results.jobs import insert_job
 from db.schema.tables import alignment as alignment_table
 from db.schema.tables import calibration as calibration_table
 from service.errors import ConflictError, NotFoundError, StorageError
@@ -19,6 +20,7 @@ from service.records.calibration import (
     CalibrationState,
 )
 from service.records.inputs import AlignmentSet, CalibrationActivation
+from service.records.operations.work import Job
 
 #: in place of a state: the row keeps the number taken
 _DELETED = "deleted"
@@ -35,13 +37,22 @@ class SqlCalibrations(Repository):
         ephemeris_id: int,
         created_at_us: int,
         created_by: str,
+        job: Job | None = None,
+        most: int | None = None,
     ) -> Calibration:
-        """Store a draft without a result and return it with its id."""
+        """Store a draft without a result, with its job, and return it with its id."""
         key = self._database.key(spacecraft_id)
         draft = Calibration(
             0, plan_id, ephemeris_id, CalibrationState.DRAFT, request, created_at_us, created_by, result=None
         )
-        return self._database.write(lambda connection: _insert_calibration(connection, key, draft))
+
+        def add(connection: Connection) -> Calibration:
+            stored = _insert_calibration(connection, key, draft)
+            if job is not None:
+                insert_job(connection, replace(job, subject=str(stored.id)), most)
+            return stored
+
+        return self._database.write(add)
 
     def finish_calibration(
         self, spacecraft_id: str, calibration_id: int, result: CalibrationResult | None, error: str | None

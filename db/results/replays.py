@@ -14,13 +14,14 @@ from sqlalchemy import ColumnElement, Connection, Row, Select, and_, delete, not
 from db.database import Database, Repository, lock_head, next_id
 from db.encoding.record_codec import decode, encode
 from db.measurements.retention import ATTITUDE_BYTES, PARTS, TORQUE_BYTES, delete_named
+from db.results.jobs import insert_job
 from db.schema.columns import agrees, checksum_of
 from db.schema.tables import job as job_table
 from db.schema.tables import replay as replay_table
 from db.schema.tables import replay_checkpoint
 from service.errors import ConflictError, NotFoundError
 from service.records.calibration import Window
-from service.records.operations.work import JobState, Replay, ReplayVersion
+from service.records.operations.work import Job, JobState, Replay, ReplayVersion
 from service.records.storage import Checkpoint
 
 _FINISHED = (JobState.DONE, JobState.FAILED)
@@ -30,10 +31,24 @@ _SERIES = ("attitude", "torques")
 class SqlReplays(Repository):
     """Replays in a relational database."""
 
-    def add_replay(self, spacecraft_id: str, replay: Replay) -> Replay:
-        """Store a replay (its id is ignored) and return it with its id."""
+    def add_replay(
+        self,
+        spacecraft_id: str,
+        replay: Replay,
+        job: Job | None = None,
+        most: int | None = None,
+        holder: str | None = None,
+    ) -> Replay:
+        """Store a replay (its id is ignored), with its job, and return it with its id."""
         key = self._database.key(spacecraft_id)
-        return self._database.write(lambda connection: _insert_replay(connection, key, replay))
+
+        def add(connection: Connection) -> Replay:
+            stored = _insert_replay(connection, key, replay)
+            if job is not None:
+                insert_job(connection, replace(job, subject=stored.version), most, holder)
+            return stored
+
+        return self._database.write(add)
 
     def replay(self, spacecraft_id: str, version: str) -> ReplayVersion:
         """Return the replay that wrote a version, and what became of it."""

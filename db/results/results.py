@@ -3,7 +3,8 @@
 Storing what the chain computed, in the transaction that moves the consumer's head.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future
 from functools import partial
 from itertools import chain, zip_longest
 from typing import Any, NamedTuple
@@ -217,14 +218,38 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
         checkpoint: Checkpoint | None = None,
     ) -> int:
         """Store outcomes in one transaction and return the last result sequence."""
-        key = self._database.key(spacecraft_id)
         consumed = Consumed(consumed_number, consumed_epoch_us)
+        store = self._storing(spacecraft_id, version, outcomes, consumed, checkpoint)
+        return self._database.write(store, self._database.key(spacecraft_id))
+
+    def submit_outcomes(
+        self,
+        spacecraft_id: str,
+        outcomes: Sequence[Outcome],
+        consumed_number: int,
+        consumed_epoch_us: int | None,
+        checkpoint: Checkpoint | None = None,
+    ) -> Future[int]:
+        """Queue live outcomes; the future gives the last sequence after the commit."""
+        consumed = Consumed(consumed_number, consumed_epoch_us)
+        store = self._storing(spacecraft_id, LIVE, outcomes, consumed, checkpoint)
+        return self._database.submit(store, key=self._database.key(spacecraft_id))
+
+    def _storing(
+        self,
+        spacecraft_id: str,
+        version: str,
+        outcomes: Sequence[Outcome],
+        consumed: Consumed,
+        checkpoint: Checkpoint | None,
+    ) -> Callable[[Connection], int]:
+        """Return the write that stores outcomes, under the lease of the spacecraft but for replays."""
+        key = self._database.key(spacecraft_id)
 
         def store(connection: Connection) -> int:
             return store_outcomes(connection, key, version, outcomes, consumed, checkpoint)
 
-        led = self._database.leases.under(store, spacecraft_id) if version in (LIVE, SMOOTHED) else store
-        return self._database.write(led, key)
+        return self._database.leases.under(store, spacecraft_id) if version in (LIVE, SMOOTHED) else store
 
     def checkpoints(
         self, spacecraft_id: str, fingerprint: str, until_number: int, before_us: int | None = None

@@ -290,9 +290,13 @@ job = Table(
     *needed(Text, "kind", "state"),
     Column("progress", Figure),
     Column("created_at_us", BigInteger, nullable=False),
-    Column("error", Text),
-    #: process on a server that runs it
-    Column("member_id", BigInteger),
+    # what it is about: the number of a calibration, the version of a replay
+    *optional(Text, "error", "spacecraft_id", "subject"),
+    # the least first
+    Column("priority", Integer, nullable=False),
+    # the process that runs it, and its number on a server
+    *(Column("holder", Text), Column("member_id", BigInteger)),
+    Index("job_order", "state", "priority", "created_at_us"),
 )
 
 replay = Table(

@@ -35,7 +35,7 @@ from service.api.protocol import openapi
 from service.api.protocol.requests import KNOWN_PARAMETERS, RequestIds
 from service.api.routes import PUBLIC_ROUTERS, ROUTERS
 from service.api.stream.event_stream import OpenStreams, StreamParts
-from service.runtime.control.automatic_release import AutomaticRelease
+from service.runtime.control.release_service import AutomaticRelease
 
 #: answers shorter than this are sent as they are
 _PACK_FROM_BYTES = 1024

@@ -8,7 +8,7 @@ from collections.abc import Awaitable, Callable
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from threading import Lock
-from typing import Annotated, Literal, NamedTuple, TypeVar
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 from fastapi import Depends, Path, Query, Request
 from starlette.concurrency import run_in_threadpool
@@ -21,14 +21,13 @@ from service.ports.archive import LIVE, SMOOTHED, Archive, Results
 from service.ports.storage import Catalogue, Clock, Storage
 from service.records.catalogue import LIVE_METHODS, Method
 from service.records.epoch import US_PER_S
-from service.records.levels.attitude import Axes
 from service.records.operations.work import JobState, ReplayVersion
 from service.records.setting import SettingEntry
 from service.runtime.alarms.alarm_service import AlarmService
 from service.runtime.control.release_service import ReleaseService
 from service.runtime.jobs.alignment_service import Aligner
-from service.runtime.jobs.calibration_job import Calibrator
-from service.runtime.jobs.replay_job import Replayer
+from service.runtime.jobs.calibration import Calibrator
+from service.runtime.jobs.replay import Replayer
 from service.runtime.live.live_feed import LiveFeed
 from service.runtime.live.supervisor import Supervisor
 
@@ -164,6 +163,31 @@ class Limits:
     evidence_bytes: int = 64 * 1024 * 1024
 
 
+class PresentMemory:
+    """Memory of what was read of each spacecraft, each part with the position that it had; safe from any thread."""
+
+    def __init__(self) -> None:
+        self._parts: dict[tuple[str, str], tuple[object, Any]] = {}
+
+    def part(self, spacecraft_id: str, name: str, numbers: object, read: Callable[[], Result]) -> Result:
+        """Return a part; it is read where it has never been, or where other numbers say that it has moved."""
+        known = self.known(spacecraft_id, name)
+        if known is None or known[0] != numbers:
+            # it is as new as the numbers or newer: they were read before it
+            known = self.put(spacecraft_id, name, numbers, read())
+        value: Result = known[1]
+        return value
+
+    def known(self, spacecraft_id: str, name: str) -> tuple[Any, Any] | None:
+        """Return the numbers of a part and the part, None where it was never read."""
+        return self._parts.get((spacecraft_id, name))
+
+    def put(self, spacecraft_id: str, name: str, numbers: object, value: Any) -> tuple[object, Any]:
+        """Take over a part with its numbers."""
+        self._parts[spacecraft_id, name] = known = (numbers, value)
+        return known
+
+
 def _ignore(_spacecraft_id: str, _about: object = None) -> None:
     """Tell nobody."""
 
@@ -213,8 +237,8 @@ class ApiContext:
     on_accepted: Callable[..., None] = _ignore
     on_startup: Callable[[], Awaitable[None]] = _nothing
     on_shutdown: Callable[[], Awaitable[None]] = _nothing
-    #: rate of each spacecraft, deg/s, with the row up to which it was found
-    recent_rates: dict[str, tuple[object, Axes | None]] = field(default_factory=dict)
+    #: what was read of each spacecraft
+    memory: PresentMemory = field(default_factory=PresentMemory)
 
 
 async def context_of(request: Request) -> ApiContext:

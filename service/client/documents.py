@@ -289,6 +289,10 @@ class JobReply(TypedDict):
     created_at: str
     #: Why it failed, and what to do.
     error: str | None
+    #: Spacecraft that it is about.
+    spacecraft_id: str | None
+    #: Number of the calibration, or version of the replay.
+    subject: str | None
 
 
 class StatusReply(TypedDict):

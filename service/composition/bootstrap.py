@@ -2,7 +2,7 @@
 
 import asyncio
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,26 +20,27 @@ from service.composition.settings import Settings
 from service.console.pages import with_console
 from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.checkpoints import fingerprint
+from service.pipeline.config import CalibrationConfig, ChainConfig
+from service.pipeline.first_rows import compile_filter
 from service.ports.storage import Clock, Storage, Term
 from service.records.operations.access import DONE, AccessKey, AuditEvent, Role, StoredKey, digest_of, new_key
 from service.records.operations.alarms import Severity
+from service.records.operations.work import JobKind
+from service.records.storage import RetentionConfig, SealingConfig
 from service.runtime.alarms.alarm_service import AlarmService
 from service.runtime.alarms.notifications import NoticeChannel, NoticeChannels
 from service.runtime.clock import DataClock, SystemClock
 from service.runtime.control.release_context import ReleasePublisher
 from service.runtime.control.release_service import ReleaseService
 from service.runtime.jobs.alignment_service import Aligner
-from service.runtime.jobs.archive_maintenance import ArchiveMaintenance
-from service.runtime.jobs.calibration_job import Calibrator, fitted
-from service.runtime.jobs.job_runner import JobRunner
-from service.runtime.jobs.lagged_run import LaggedSeries, lagged_in_process
-from service.runtime.jobs.replay_job import Replayer
-from service.runtime.jobs.replay_run import prepare_process, replay_in_process
-from service.runtime.jobs.workers import WorkerConfig, Workers
-from service.runtime.live.leadership import Leading, always
+from service.runtime.jobs.archive_maintenance import MaintenanceDue, MaintenanceWork
+from service.runtime.jobs.calibration import CalibrationWork, Calibrator
+from service.runtime.jobs.job_runner import JobRunner, JobWorker, Standing, Work
+from service.runtime.jobs.replay import Replayer, replay_work
+from service.runtime.jobs.smoothing import SmoothingConfig, SmoothingDue, SmoothingWork
+from service.runtime.live.leadership import Leading
 from service.runtime.live.live_feed import LiveFeed
-from service.runtime.live.step_failures import StepFailures
-from service.runtime.live.supervisor import Supervisor
+from service.runtime.live.supervisor import StepFailures, Supervisor
 
 if TYPE_CHECKING:
     from db.connection.engines import FileWatch
@@ -47,10 +48,6 @@ if TYPE_CHECKING:
 
 #: descriptors that connections leave to the archive, logs and worker processes
 _OWN_FILES = 256
-#: a part of six hours of smoothed rows is ended after this, s; at a row a second it takes three minutes
-_PART_TIMEOUT_S = 3600.0
-#: from the start of leadership to that of the worker process of replays, so that it delays no start, s
-_PREPARED_AFTER_S = 10.0
 
 
 def build_storage(settings: Settings) -> Storage:
@@ -75,7 +72,12 @@ def watch_file(settings: Settings) -> "FileWatch | None":
 
 def build_clock(settings: Settings, storage: Storage) -> Clock:
     """Return the clock of the settings."""
-    if settings.clock == "system":
+    return clock_of(settings.clock, storage)
+
+
+def clock_of(kind: str, storage: Storage) -> Clock:
+    """Return the clock of a kind."""
+    if kind == "system":
         return SystemClock()
     return DataClock(
         lambda spacecraft_id: storage.catalogue.spacecraft(spacecraft_id).simulated,
@@ -160,12 +162,12 @@ def build_alarms(
     url = _secret(settings.alarm_webhook_url)
     if url:
         # brings httpx along
-        from service.runtime.alarms.webhook import Webhook
+        from service.runtime.alarms.delivery import Webhook
 
         webhook = Webhook(url, _secret(settings.alarm_webhook_secret), clock.system_us)
         channels.append(NoticeChannel("webhook", webhook.deliver, conditions, from_severity))
     if settings.alarm_mail_host and settings.alarm_mail_to:
-        from service.runtime.alarms.mail import Mail, MailRoute
+        from service.runtime.alarms.delivery import Mail, MailRoute
 
         route = MailRoute(
             host=settings.alarm_mail_host,
@@ -226,9 +228,9 @@ def _stated(settings: Settings) -> dict[str, Any]:
     }
 
 
-def build_maintenance(settings: Settings, storage: Storage, clock: Clock, turn: Term = always) -> ArchiveMaintenance:
+def build_maintenance(settings: Settings, storage: Storage, clock: Clock) -> MaintenanceWork:
     """Return what seals closed days and drops what is no longer kept."""
-    return ArchiveMaintenance(storage, clock, settings.sealing, settings.retention, turn)
+    return MaintenanceWork(storage, clock, settings.sealing, settings.retention)
 
 
 def build_release_service(
@@ -246,44 +248,50 @@ def build_release_service(
     )
 
 
-def _calibrator(settings: Settings, storage: Storage, clock: Clock, jobs: JobRunner, workers: Workers) -> Calibrator:
-    """Return what calibrates in worker processes."""
-    fit = partial(workers.run, partial(fitted, settings.calibration))
-    return Calibrator(storage, clock, jobs, fit, settings.workers.max_calibrations)
+@dataclass(frozen=True, slots=True)
+class _JobSettings:
+    """Settings of jobs, without secrets: they go to another process."""
+
+    database_url: str
+    database_timeout_s: float
+    clock: str
+    chain: ChainConfig
+    calibration: CalibrationConfig
+    smoothing: SmoothingConfig
+    sealing: SealingConfig
+    retention: RetentionConfig
+
+    @classmethod
+    def of(cls, settings: Settings) -> "_JobSettings":
+        """Return those of a service."""
+        return cls(**_chosen(settings, cls) | {"chain": settings.chain_config()})
 
 
-def _replayer(
-    settings: Settings, storage: Storage, clock: Clock
-) -> tuple[Replayer, Callable[[], None], Callable[[], None]]:
-    """Return what replays in a worker process of its own, since a replay may take hours, its preparation, its end."""
-    jobs, worker = JobRunner(storage.results, clock), Workers(WorkerConfig(processes=1))
-    opened = partial(SqlStorage, settings.database_url, settings.database_timeout_s)
-    config = settings.chain_config()
-    replayed = partial(worker.complete, partial(replay_in_process, opened, config))
-    prepare = partial(worker.prepare, _PREPARED_AFTER_S, partial(prepare_process, opened, config))
-
-    def end() -> None:
-        worker.stop()
-        jobs.stop()
-
-    # the process reports for itself
-    most = settings.workers.max_replays
-    return Replayer(storage, clock, jobs, lambda sc, version, _: replayed(sc, version), most), prepare, end
+def _works_in_process(settings: _JobSettings) -> tuple[Storage, dict[str, Work]]:
+    """Return storage and works of a process that does jobs."""
+    storage = SqlStorage(settings.database_url, settings.database_timeout_s)
+    clock = clock_of(settings.clock, storage)
+    works: dict[str, Work] = {
+        JobKind.CALIBRATION: CalibrationWork(storage, settings.calibration),
+        JobKind.SMOOTHING: SmoothingWork(storage, settings.chain, settings.smoothing),
+        JobKind.SEALING: MaintenanceWork(storage, clock, settings.sealing, settings.retention),
+        JobKind.REPLAY: partial(replay_work, storage, settings.chain),
+    }
+    return storage, works
 
 
-def _lagged_series(settings: Settings, storage: Storage, leading: Leading) -> tuple[LaggedSeries, Callable[[], None]]:
-    """Return the live series of smoothed angles, made in a worker process of its own, and what ends both."""
-    worker = Workers(WorkerConfig(processes=1, job_timeout_s=_PART_TIMEOUT_S))
-    opened = partial(SqlStorage, settings.database_url, settings.database_timeout_s)
-    made = partial(lagged_in_process, opened, settings.chain_config())
-    work = partial(worker.run, made)
-    series = LaggedSeries(storage, settings.smoothing, work, leading.term)
-
-    def end() -> None:
-        worker.stop()
-        series.stop()
-
-    return series, end
+def _job_runner(settings: Settings, storage: Storage, clock: Clock, leading: Leading) -> tuple[JobRunner, JobWorker]:
+    """Return what runs jobs, and its process."""
+    make = partial(_works_in_process, _JobSettings.of(settings))
+    worker = JobWorker(make, storage.leases.lend, settings.workers.job_timeout_s)
+    smoothing = SmoothingDue(storage, settings.smoothing, leading.term)
+    maintenance = MaintenanceDue(storage, settings.sealing, leading.term)
+    standing = (
+        Standing(JobKind.SMOOTHING, smoothing.due, smoothing.failed),
+        Standing(JobKind.SEALING, maintenance.due),
+    )
+    prepare = partial(worker.call, compile_filter)
+    return JobRunner(storage, clock, worker.advance, leading.term, standing, prepare), worker
 
 
 def build_app(settings: Settings, storage: Storage) -> FastAPI:
@@ -295,23 +303,18 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
     alarms = build_alarms(settings, storage, clock, feed, leading.term, failures)
     release_service = build_release_service(settings, storage, clock, feed, lambda sc: supervisor.notify(sc), leading)
     supervisor = Supervisor(storage, feed, settings.chain_config(), alarms, leading.term, release_service, failures)
-    jobs = JobRunner(storage.results, clock)
-    workers = Workers(settings.workers)
-    replayer, prepare_replays, end_replays = _replayer(settings, storage, clock)
-    lagged, end_lagged = _lagged_series(settings, storage, leading)
-    maintainer = build_maintenance(settings, storage, clock, leading.term)
+    jobs, worker = _job_runner(settings, storage, clock, leading)
 
     async def start() -> None:
-        await asyncio.to_thread(leading.start, [jobs.start, replayer.resume, prepare_replays])
-        maintainer.start()
+        await asyncio.to_thread(leading.start, [jobs.take_over])
+        jobs.start()
         alarms.start()
         supervisor.start()
         release_service.start()
-        lagged.start()
 
     async def stop() -> None:
-        running = (release_service.stop, supervisor.stop, alarms.stop, workers.stop, jobs.stop)
-        for end in (end_lagged, end_replays, *running, maintainer.stop, leading.stop, storage.close):
+        running = (release_service.stop, supervisor.stop, alarms.stop)
+        for end in (partial(jobs.stop, worker.stop), *running, leading.stop, storage.close):
             await asyncio.to_thread(end)
 
     context = ApiContext(
@@ -326,9 +329,9 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
         supervisor=supervisor,
         alarms=alarms,
         feed=feed,
-        calibrator=_calibrator(settings, storage, clock, jobs, workers),
+        calibrator=Calibrator(storage, clock, jobs.notify, settings.workers.max_calibrations),
         aligner=Aligner(storage, clock, settings.alignment),
-        replayer=replayer,
+        replayer=Replayer(storage, clock, jobs.notify, settings.workers.max_replays),
         release_service=release_service,
         **_stated(settings),
     )

@@ -34,8 +34,8 @@ from service.pipeline.config import (
 )
 from service.pipeline.control.release.interlock_conditions import ReleaseSettings
 from service.records.storage import RetentionConfig, SealingConfig
-from service.runtime.jobs.lagged_run import SmoothingConfig
-from service.runtime.jobs.workers import WorkerConfig
+from service.runtime.jobs.job_runner import WorkerConfig
+from service.runtime.jobs.smoothing import SmoothingConfig
 
 
 def _networks(value: str | None) -> str | None:

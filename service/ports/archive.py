@@ -1,7 +1,7 @@
 """The ports of inputs and results: measurements, slow inputs, their journal, and everything the service computed."""
 
 import math
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple, Protocol, get_args
@@ -37,7 +37,7 @@ from service.records.levels.measurement import (
     ReferenceSeries,
     SourceState,
 )
-from service.records.operations.work import Job, JobState, Replay, ReplayVersion
+from service.records.operations.work import Job, JobKind, Replay, ReplayVersion
 from service.records.storage import Checkpoint, RetiredRows, SealedPart, SealedResults
 
 
@@ -271,8 +271,10 @@ class Results(Protocol):
         ephemeris_id: int,
         created_at_us: int,
         created_by: str,
+        job: Job | None = None,
+        most: int | None = None,
     ) -> Calibration:
-        """Store a draft without a result and return it with its id."""
+        """Store a draft without a result, with its job, and return it with its id; BusyError ``analysis.busy``."""
 
     def finish_calibration(
         self, spacecraft_id: str, calibration_id: int, result: CalibrationResult | None, error: str | None
@@ -323,6 +325,16 @@ class Results(Protocol):
         applied commands enter the journal and the consumer's head moves to ``consumed_number``; a replay's checkpoint
         takes the place of the one before.
         """
+
+    def submit_outcomes(
+        self,
+        spacecraft_id: str,
+        outcomes: Sequence[Outcome],
+        consumed_number: int,
+        consumed_epoch_us: int | None,
+        checkpoint: Checkpoint | None = None,
+    ) -> "Future[int]":
+        """Queue live outcomes as `save_outcomes` stores them; the future gives the last sequence after the commit."""
 
     def checkpoints(
         self, spacecraft_id: str, fingerprint: str, until_number: int, before_us: int | None = None
@@ -422,29 +434,51 @@ class Results(Protocol):
         Every version is packed. Nothing that any method answers changes.
         """
 
-    def add_job(self, job: Job) -> None:
-        """Store a new job."""
+    def add_job(self, job: Job, holder: str | None = None) -> None:
+        """Store a new job, in the hands of a holder where one runs it already; ConflictError ``job.exists``."""
 
-    def update_job(self, job_id: str, state: JobState, progress: float, error: str | None = None) -> None:
-        """Store how far a job is."""
+    def queue_job(self, job: Job) -> None:
+        """Store a job that comes again and again, or queue it once more where it has ended."""
+
+    def open_jobs(self, holder: str) -> list[Job]:
+        """Return the unfinished jobs that are a holder's or nobody's, in the order in which they are to be done.
+
+        Those of a process on a server that has ended are nobody's.
+        """
+
+    def hold_job(self, job_id: str, holder: str) -> bool:
+        """Make an open job run in the hands of a holder; False where another has it, or it has ended."""
+
+    def report_job(self, job_id: str, holder: str, progress: float) -> bool:
+        """Store how far a job is; False where it has ended meanwhile, or is another holder's."""
+
+    def let_go_of_job(self, job_id: str, holder: str) -> None:
+        """Let others go on with a job."""
+
+    def free_jobs(self, holder: str) -> int:
+        """Let the jobs of processes that have ended go on, and return how many; called where one begins to lead."""
+
+    def end_job(self, job_id: str, error: str | None = None) -> None:
+        """Store that a job is done, or why it failed; a calibration without a result fails with it."""
 
     def job(self, job_id: str) -> Job:
         """Return one job."""
 
+    def unfinished_job_of(self, spacecraft_id: str, kind: JobKind, subject: str) -> str | None:
+        """Return the id of the unfinished job of a subject, None where there is none."""
+
     def newest_jobs(self, limit: int) -> list[Job]:
-        """Return the jobs that were made last, newest first."""
+        """Return the jobs that persons made last, newest first."""
 
-    def fail_unfinished_jobs(self, error: str, but: Collection[str] = ()) -> int:
-        """Mark jobs that a former process left unfinished as failed, and their drafts; return how many jobs.
-
-        Those of replays stay: they go on from where they are. So do those named, and those of processes that live.
-        """
-
-    def acquire_job(self, job_id: str) -> bool:
-        """Make an unfinished job that of this process; False where it is another's that lives."""
-
-    def add_replay(self, spacecraft_id: str, replay: Replay) -> Replay:
-        """Store a replay (its id is ignored) and return it with its id."""
+    def add_replay(
+        self,
+        spacecraft_id: str,
+        replay: Replay,
+        job: Job | None = None,
+        most: int | None = None,
+        holder: str | None = None,
+    ) -> Replay:
+        """Store a replay (its id is ignored), with its job, and return it with its id; BusyError ``replay.busy``."""
 
     def replay(self, spacecraft_id: str, version: str) -> ReplayVersion:
         """Return the replay that wrote a version, and what became of it; NotFoundError ``replay.unknown``."""

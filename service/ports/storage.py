@@ -1,11 +1,12 @@
 """The ports of catalogue, keys, audit, releases, links, alarms, notes, leases and time; one database as a whole."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from service.ports.archive import Archive, Results
 from service.records.calibration import Window
 from service.records.catalogue import Carrier, CarrierPlan, Ephemeris, Spacecraft
+from service.records.levels.measurement import Whereabouts
 from service.records.levels.sweep import KeptTrace, Ring, Trace, TraceHead, TraceReceipt
 from service.records.operations.access import (
     AccessKey,
@@ -83,6 +84,9 @@ class Catalogue(Protocol):
     def spacecraft(self, spacecraft_id: str) -> Spacecraft:
         """Return one spacecraft."""
 
+    def whereabouts(self, spacecraft_id: str) -> Whereabouts:
+        """Return where everything of a spacecraft stands, by one statement; NotFoundError ``spacecraft.unknown``."""
+
     def all_spacecraft(self) -> tuple[Spacecraft, ...]:
         """Return all spacecraft in order of id."""
 
@@ -111,8 +115,20 @@ class Catalogue(Protocol):
         """Return the names of the documents in force that differ from their digests, for example ``calibration 3``."""
 
 
+class ClockReading(NamedTuple):
+    """Present of a spacecraft."""
+
+    #: whether the epochs that it sends move its clock
+    is_data: bool
+    #: microseconds UTC; None before the first row under the data clock
+    now_us: int | None
+
+
 class Clock(Protocol):
     """The only source of time."""
+
+    def reading(self, spacecraft: Spacecraft, newest_epoch_us: int | None) -> ClockReading:
+        """Return the present of a spacecraft whose newest epoch is known; nothing is looked up."""
 
     def now_us(self, spacecraft_id: str) -> int | None:
         """Return the present of a spacecraft, microseconds UTC; None before its first row under the data clock."""
@@ -128,6 +144,10 @@ class Clock(Protocol):
 ARCHIVE = ""
 #: number of the leadership term of a spacecraft, or of the archive, in this process; 0 while another one leads it
 Term = Callable[[str], int]
+
+
+#: number of a process among those on a server, and its terms by name
+LeaseLoan = tuple[int | None, Mapping[str, int]]
 
 
 class Leases(Protocol):
@@ -154,6 +174,12 @@ class Leases(Protocol):
 
     def ended(self) -> int:
         """Return a number that changes when another process has ended; its jobs are nobody's then."""
+
+    def lend(self) -> LeaseLoan | None:
+        """Return what a process of ours needs to write under the leases of this one; None where it needs nothing."""
+
+    def borrow(self, loan: LeaseLoan | None) -> None:
+        """Write under the leases of another process from now on."""
 
     def give_back(self) -> None:
         """Let other processes have all leases."""

@@ -61,7 +61,7 @@ class SealingConfig:
     """Times of sealing closed days."""
 
     quiet_s: float = setting(900.0, "a day is packed this long after its end and after its last row came in, s", CHOSEN)
-    period_s: float = setting(60.0, "between two looks for days to pack and rows to drop, s", CHOSEN)
+    period_s: float = setting(600.0, "between two looks for days to pack and rows to drop, s", CHOSEN)
     pause_s: float = setting(
         0.05, "between two transactions of that work, so that rows come in between them, s", CHOSEN
     )

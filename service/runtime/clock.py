@@ -8,6 +8,9 @@ not simulated keeps the system's time under either.
 import time
 from collections.abc import Callable
 
+from service.ports.storage import ClockReading
+from service.records.catalogue import Spacecraft
+
 
 def system_now_us() -> int:
     """Return the system's present, microseconds UTC."""
@@ -16,6 +19,10 @@ def system_now_us() -> int:
 
 class SystemClock:
     """The computer's UTC for every spacecraft."""
+
+    def reading(self, spacecraft: Spacecraft, newest_epoch_us: int | None) -> ClockReading:  # noqa: ARG002 as below
+        """Return the present, microseconds UTC."""
+        return ClockReading(is_data=False, now_us=system_now_us())
 
     def now_us(self, spacecraft_id: str) -> int | None:  # noqa: ARG002 the port asks for it
         """Return the present, microseconds UTC."""
@@ -44,6 +51,11 @@ class DataClock:
     def __init__(self, is_simulated: Callable[[str], bool], newest_epoch_us: Callable[[str], int | None]) -> None:
         self._is_simulated = is_simulated
         self._newest_epoch_us = newest_epoch_us
+
+    def reading(self, spacecraft: Spacecraft, newest_epoch_us: int | None) -> ClockReading:
+        """Return the present of a spacecraft whose newest epoch is known."""
+        is_data = spacecraft.simulated
+        return ClockReading(is_data, newest_epoch_us if is_data else system_now_us())
 
     def now_us(self, spacecraft_id: str) -> int | None:
         """Return the present of a spacecraft, None before its first row."""

@@ -22,7 +22,7 @@ from service.pipeline.control.release.interlock_conditions import ReleaseSetting
 from service.runtime.control.release_context import ReleasePublisher
 from service.runtime.control.release_service import ReleaseService
 from service.runtime.live.live_feed import LiveFeed
-from service.runtime.live.step_failures import StepFailures
+from service.runtime.live.supervisor import StepFailures
 
 KEY = "test-key-of-the-administrator"
 
@@ -67,7 +67,10 @@ async def soo(storage: SqlStorage) -> AsyncIterator[Soo]:
         supervisor=cast(
             "Any",
             SimpleNamespace(
-                restarts=SimpleNamespace(under_way=None), failures=StepFailures(), is_disagreeing=lambda _: False
+                restarts=SimpleNamespace(under_way=None),
+                failures=StepFailures(),
+                is_disagreeing=lambda _: False,
+                newest_results=lambda *_: None,
             ),
         ),
         alarms=cast("Any", None),

@@ -22,6 +22,7 @@ from service.records.catalogue import (
     Track,
 )
 from service.records.inputs import EphemerisChange, PlanChange, SpacecraftChange
+from service.records.operations.work import LinkReport
 
 INERTIA = ((4000.0, 1.5, 0.0), (1.5, 2000.0, -0.0), (0.0, 0.0, 4000.1))
 CRAFT = Spacecraft(
@@ -211,3 +212,31 @@ def test_a_spacecraft_stored_before_the_fields_could_be_unknown_keeps_what_it_wa
         del old["onboard"][name]
     onboard = decode(Spacecraft, json.dumps(old)).onboard
     assert (onboard.roll_yaw_coupling, onboard.residual_torque_n_m) == (True, 0.0)
+
+
+def test_whereabouts_move_with_whatever_is_stored(setting):
+    storage, seen = setting.storage, []
+
+    def has_moved():
+        seen.append(storage.catalogue.whereabouts(setting.id))
+        return len(seen) < 2 or seen[-1] != seen[-2]
+
+    assert has_moved()
+    setting.append([10])
+    assert has_moved()
+    assert seen[-1].head == storage.archive.head(setting.id)
+    assert seen[-1].sources == storage.archive.sources(setting.id)
+    storage.catalogue.replace_spacecraft(replace(storage.catalogue.spacecraft(setting.id), name="another"))
+    assert has_moved()
+    report = LinkReport("rx", "run", setting.id, "sa-1", "MEASURE", {}, {}, None)
+    for at_us in (50, 40):
+        storage.links.report([report], at_us)
+        assert has_moved()
+    storage.links.set_enabled("rx", enabled=False)
+    assert has_moved()
+    storage.links.request_reset("rx")
+    assert has_moved()
+    assert not has_moved()
+    with pytest.raises(NotFoundError) as caught:
+        storage.catalogue.whereabouts("nobody")
+    assert caught.value.code == "spacecraft.unknown"

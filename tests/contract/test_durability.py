@@ -180,7 +180,7 @@ def test_close_commits_what_is_queued_and_then_refuses(setting, url, make):
     closing.join(120)
     assert [future.result(0).accepted for future in futures] == [1, 1]
     with pytest.raises(StorageError) as caught:
-        setting.storage.results.fail_unfinished_jobs("late")
+        setting.storage.results.free_jobs("late")
     assert caught.value.code == "storage.closed"
     reopened = SqlStorage(url)
     assert len(reopened.archive.measurements(setting.id, make.ever, 9, None)) == 2

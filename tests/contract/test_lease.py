@@ -338,18 +338,20 @@ def test_changes_are_announced_to_others(setting, open_storage):
 def test_jobs_of_a_process_that_lives_go_on(setting, open_storage, silence):
     first, twin = setting.storage, open_storage()
     held(first), held(twin)
-    first.results.add_job(Job("fit-1", "fit", JobState.QUEUED, 0.0, 1))
-    assert not twin.results.acquire_job("fit-1")
-    assert twin.results.fail_unfinished_jobs("ended") == 0
+    first.results.add_job(Job("fit-1", "calibration", JobState.QUEUED, 0.0, 1))
+    assert first.results.hold_job("fit-1", "first")
+    assert not twin.results.hold_job("fit-1", "twin")
+    assert twin.results.open_jobs("twin") == []
+    assert twin.results.free_jobs("twin") == 0
     ended = twin.leases.ended()
     silence(first)
     held(twin)
     assert twin.leases.ended() == ended + 1
-    assert twin.results.fail_unfinished_jobs("ended", ["fit-1"]) == 0
-    assert twin.results.acquire_job("fit-1")
-    assert twin.results.fail_unfinished_jobs("ended") == 0, "it is its own now"
+    assert [job.id for job in twin.results.open_jobs("twin")] == ["fit-1"]
+    assert twin.results.hold_job("fit-1", "twin")
+    assert not first.results.report_job("fit-1", "first", 0.5), "it is the other's now"
     silence(twin)
-    assert first.results.fail_unfinished_jobs("ended") == 1
+    assert first.results.free_jobs("first") == 1
 
 
 @pytest.mark.usefixtures("on_server")

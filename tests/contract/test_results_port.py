@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from service.core.rows import SampleBins
-from service.errors import ConflictError, NotFoundError
+from service.errors import BusyError, ConflictError, NotFoundError
 from service.ports.archive import LIVE, Outcome
 from service.records.calibration import (
     Alignment,
@@ -29,7 +29,7 @@ from service.records.calibration import (
 from service.records.catalogue import Method
 from service.records.inputs import AlignmentSet, CalibrationActivation
 from service.records.levels.attitude import NO_ANGLES, AppliedCommand, Axes, CarrierResults, Status
-from service.records.operations.work import Job, JobState, Replay
+from service.records.operations.work import Job, JobKind, JobState, Replay
 from service.records.storage import Checkpoint
 
 HOURS = SampleBins(0, 86_400_000_000, 24, 1)
@@ -139,37 +139,74 @@ def test_an_alignment_is_stored_and_journaled(setting):
     assert caught.value.code == "calibration.unknown"
 
 
-def test_jobs_are_followed_and_those_of_a_dead_process_fail(storage):
+def test_a_job_is_followed_from_hand_to_hand(storage):
     results = storage.results
-    for position, state in enumerate((JobState.QUEUED, JobState.RUNNING, JobState.DONE)):
-        results.add_job(Job(f"job-{position}", "calibration", state, 0.0, 5))
-    results.update_job("job-1", JobState.RUNNING, 0.1 + 0.2)
+    for position in range(3):
+        results.add_job(Job(f"job-{position}", "calibration", JobState.QUEUED, 0.0, 5))
+    assert results.hold_job("job-1", "mine")
+    assert not results.hold_job("job-1", "another")
+    assert results.report_job("job-1", "mine", 0.1 + 0.2)
+    assert not results.report_job("job-1", "another", 0.9)
     # the progress is stored, not computed: equal without tolerance
     assert results.job("job-1") == Job("job-1", "calibration", JobState.RUNNING, 0.1 + 0.2, 5)
-    results.add_job(Job("job-0a", "replay", JobState.QUEUED, 0.0, 1 << 60))
-    assert [job.id for job in results.newest_jobs(2)] == ["job-0a", "job-2"]
-    results.update_job("job-0a", JobState.DONE, 1.0)
+    assert [job.id for job in results.open_jobs("another")] == ["job-0", "job-2"]
+    results.let_go_of_job("job-1", "mine")
+    assert results.hold_job("job-1", "another")
+    assert results.free_jobs("another") == 0
+    assert results.free_jobs("mine") == 1, "of processes that have ended"
+    results.end_job("job-1")
+    results.end_job("job-2", "the disk is full")
+    assert not results.hold_job("job-2", "mine")
+    assert [results.job(f"job-{k}").state.value for k in range(3)] == ["queued", "done", "failed"]
+    assert results.job("job-2").error == "the disk is full"
     with pytest.raises(ConflictError) as caught:
         results.add_job(Job("job-1", "replay", JobState.QUEUED, 0.0, 5))
     assert caught.value.code == "job.exists"
-    assert results.fail_unfinished_jobs("the service was stopped") == 2
-    assert [results.job(f"job-{position}").state.value for position in range(3)] == ["failed", "failed", "done"]
-    assert results.job("job-0").error == "the service was stopped"
-    for call in (lambda: results.job("none"), lambda: results.update_job("none", JobState.DONE, 1.0)):
+    for call in (lambda: results.job("none"), lambda: results.end_job("none")):
         with pytest.raises(NotFoundError) as unknown:
             call()
         assert unknown.value.code == "job.unknown"
 
 
-def test_drafts_of_a_dead_process_fail_with_its_jobs_and_finished_ones_stay(setting):
+def test_jobs_are_done_in_order_of_their_kinds_and_those_of_persons_are_listed(storage):
+    results = storage.results
+    for at_us, kind in enumerate(("replay", "sealing", "calibration", "smoothing", "calibration")):
+        results.add_job(Job(f"{kind}-{at_us}", kind, JobState.QUEUED, 0.0, at_us))
+    order = ["calibration-2", "calibration-4", "smoothing-3", "sealing-1", "replay-0"]
+    assert [job.id for job in results.open_jobs("mine")] == order
+    assert [job.id for job in results.newest_jobs(2)] == ["calibration-4", "calibration-2"]
+    assert [job.id for job in results.newest_jobs(9)] == ["calibration-4", "calibration-2", "replay-0"]
+
+
+def test_standing_work_is_queued_anew_once_it_has_ended(storage):
+    results, job = storage.results, Job("sealing-a", "sealing", JobState.QUEUED, 0.0, 5)
+    results.queue_job(job)
+    assert results.hold_job(job.id, "mine")
+    assert results.report_job(job.id, "mine", 0.5)
+    results.queue_job(job)
+    assert results.job(job.id).progress == 0.5, "it is under way"
+    results.end_job(job.id, "the disk is full")
+    results.queue_job(job)
+    assert results.job(job.id) == job
+
+
+def test_a_draft_and_its_job_are_stored_together_and_fail_together(setting):
     results = setting.storage.results
-    for _ in range(2):
-        results.add_calibration(setting.id, REQUEST, 1, 1, 55, "engineer")
-    results.finish_calibration(setting.id, 1, RESULT, None)
-    assert results.fail_unfinished_jobs("the service was stopped") == 0
-    assert states(setting) == {1: "draft", 2: "failed"}
-    assert results.calibration(setting.id, 2).error == "the service was stopped"
-    assert results.calibration(setting.id, 1).result == RESULT
+    job = Job("c-1", "calibration", JobState.QUEUED, 0.0, 55, spacecraft_id=setting.id)
+    arguments = (setting.id, REQUEST, 1, 1, 55, "engineer")
+    draft = results.add_calibration(*arguments, job, 1)
+    assert results.unfinished_job_of(setting.id, JobKind.CALIBRATION, str(draft.id)) == "c-1"
+    with pytest.raises(BusyError):
+        results.add_calibration(*arguments, replace(job, id="c-2"), 1)
+    assert states(setting) == {1: "draft"}
+    results.end_job("c-1", "no turns")
+    assert states(setting) == {1: "failed"}
+    assert results.calibration(setting.id, 1).error == "no turns"
+    assert results.unfinished_job_of(setting.id, JobKind.CALIBRATION, "1") is None
+    results.add_calibration(*arguments, replace(job, id="c-3"), 1)
+    results.finish_calibration(setting.id, 2, RESULT, None)
+    results.end_job("c-3", "late")
+    assert results.calibration(setting.id, 2).result == RESULT
 
 
 def test_a_replay_is_found_by_the_version_it_writes(setting):

@@ -26,7 +26,7 @@ from sign_world import (
     profile_angles_deg,
 )
 
-from service.api.context import Limits
+from service.api.context import Limits, PresentMemory
 from service.api.monitoring.metrics import Metrics
 from service.api.routes.control import get_attitude, get_control, get_torques
 from service.api.views.present import handover_of, status_of
@@ -49,7 +49,8 @@ from service.records.catalogue import ControlMode, Method, Release
 from service.records.epoch import format_epoch
 from service.records.inputs import Operation
 from service.records.levels.attitude import Axes, Status
-from service.runtime.live.step_failures import StepFailures
+from service.records.levels.measurement import HeadState, Whereabouts
+from service.runtime.live.supervisor import StepFailures
 
 NAN = float("nan")
 BAD_ROWS = st.sampled_from(
@@ -97,7 +98,7 @@ def context_of(driver):
         return driver.command
 
     archive = driver.archive
-    head = SimpleNamespace(consumed_epoch_us=None, newest_epoch_us=None, newest_number=0, consumed_number=0)
+    head = HeadState(0, 0, None, None, 0)
     alignment = SimpleNamespace(id=1, epoch_us=GOOD.epoch_us, calibration_by_method={}, references_by_method={})
     results = vars(archive.results) | {
         "newest_attitude": newest_row,
@@ -111,6 +112,7 @@ def context_of(driver):
         catalogue=SimpleNamespace(
             spacecraft=archive.catalogue.spacecraft,
             all_spacecraft=archive.catalogue.all_spacecraft,
+            whereabouts=lambda _: Whereabouts(head, (), "", 0, 1 if archive.is_aligned else None, None, None, ()),
             ephemeris=lambda _: SimpleNamespace(id=1, valid_start_us=0, valid_stop_us=archive.ephemeris_stop_us),
         ),
         archive=SimpleNamespace(head=lambda _: head, sources=lambda _: (), inputs=lambda *_, **__: ()),
@@ -127,12 +129,13 @@ def context_of(driver):
         release_service=driver.service,
         limits=Limits(),
         interlock=InterlockConfig(),
-        recent_rates={},
+        memory=PresentMemory(),
         supervisor=SimpleNamespace(
             failures=StepFailures(),
             is_disagreeing=lambda _: False,
             carrier_states=lambda _: None,
             is_catching_up=lambda _: False,
+            newest_results=lambda *_: None,
         ),
         alarms=SimpleNamespace(notices=SimpleNamespace(channels=())),
     )

@@ -23,7 +23,7 @@ from service.api.limits.http_protocol import Connections
 from service.api.monitoring.access_log import DURATION_BOUNDS_S, RequestMetrics
 from service.api.monitoring.readiness import parts_of
 from service.api.stream.event_stream import OpenStreams
-from service.api.views.present import link_answers, newest_attitude, present_of
+from service.api.views.present import SpacecraftNow, link_answers, present_of
 from service.api.views.shipped import program_version
 from service.errors import StorageError
 from service.ports.archive import SMOOTHED
@@ -316,11 +316,12 @@ class Metrics:
 
     def _attitude(self, spacecraft: Spacecraft) -> Iterator[Sample]:
         """Yield the newest attitude of each method."""
+        now = SpacecraftNow(self._context, spacecraft.id)
         for method in LIVE_METHODS:
-            row = newest_attitude(self._context, spacecraft.id, method)
+            row = now.row(method)
             if row is not None:
                 yield from _angles(spacecraft.id, row)
-        yield "soo_control_allowed", (spacecraft.id,), float(present_of(self._context, spacecraft).verdict.is_allowed)
+        yield "soo_control_allowed", (spacecraft.id,), float(present_of(self._context, now).verdict.is_allowed)
 
     def _links(self) -> Iterator[Sample]:
         """Yield the state of each link."""

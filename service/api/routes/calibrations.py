@@ -28,7 +28,7 @@ from service.pipeline.planning.candidates import WHEEL_PERIOD_S, stated_wheels
 from service.pipeline.planning.planning import Rule
 from service.records.calibration import Calibration
 from service.records.catalogue import Method
-from service.runtime.jobs.archive_maintenance import MIN_COUNT, recommend_carriers, window_harmonics
+from service.runtime.jobs.analysis import MIN_COUNT, recommend_carriers, window_harmonics
 
 alignments_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/alignments", tags=["calibration"])
 

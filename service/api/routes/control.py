@@ -42,7 +42,7 @@ from service.api.schemas.control import (
 )
 from service.api.schemas.measurements import CarrierResultAnswer, CarrierResultPage
 from service.api.schemas.shift import StatusAnswer
-from service.api.views.present import newest_attitude, present_of, status_of
+from service.api.views.present import SpacecraftNow, present_of, status_of
 from service.errors import FieldError, ForbiddenError, NotFoundError
 from service.pipeline.control.control_conditions import control_conditions
 from service.pipeline.control.release.control_verdict import ControlView
@@ -51,7 +51,7 @@ from service.ports.archive import LIVE, SMOOTHED
 from service.records.calibration import Window
 from service.records.catalogue import Method
 from service.records.levels.attitude import AttitudeRow
-from service.runtime.control.automatic_release import AutomaticRelease
+from service.runtime.control.release_service import AutomaticRelease
 
 attitude_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/attitude", tags=["attitude"])
 
@@ -59,13 +59,13 @@ attitude_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/attitude", tags=
 @attitude_router.get("")
 def get_attitude(spacecraft_id: SpacecraftId, context: Context, method: MethodParameter = None) -> NewestAttitudeAnswer:
     """Return the newest attitude; status NOT_RECEIVED before the first row, EXPIRED when the newest is too old."""
-    spacecraft = context.storage.catalogue.spacecraft(spacecraft_id)
-    method = method or spacecraft.control.method
+    now = SpacecraftNow(context, spacecraft_id)
+    method = method or now.spacecraft.control.method
     check_method(method, LIVE)
-    present = present_of(context, spacecraft)
+    present = present_of(context, now)
     row, control = present.row, present.control
-    if method is not spacecraft.control.method:
-        row = newest_attitude(context, spacecraft_id, method)
+    if method is not now.spacecraft.control.method:
+        row = now.row(method)
     if row is None:
         return NewestAttitudeAnswer.not_received(method, LIVE, control=control)
     return NewestAttitudeAnswer.of(row, LIVE, control=control)
@@ -219,7 +219,7 @@ def _order(caller: Caller, kind: OrderKind, body: OrderDocument) -> ControlAnswe
 
 def _answer(context: ApiContext, spacecraft_id: str, view: ControlView) -> ControlAnswer:
     """Return the answer of a view of the interlock, with the verdict."""
-    present = present_of(context, context.storage.catalogue.spacecraft(spacecraft_id), view)
+    present = present_of(context, SpacecraftNow(context, spacecraft_id), view)
     conditions = control_conditions(view, present.row, present.verdict, context.interlock)
     return ControlAnswer.of(view, present.control, conditions, context.interlock.validity_limit_deg)
 
@@ -350,11 +350,11 @@ torques_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/torques", tags=["
 @torques_router.get("")
 def get_torques(spacecraft_id: SpacecraftId, context: Context) -> NewestTorqueAnswer:
     """Return the newest command: zero with its reasons while control is inhibited, null before the first."""
-    spacecraft = context.storage.catalogue.spacecraft(spacecraft_id)
-    present = present_of(context, spacecraft)
+    now = SpacecraftNow(context, spacecraft_id)
+    present = present_of(context, now)
     row, command = present.row, present.command
     if command is None:
-        answer = TorqueAnswer.before_the_first(spacecraft.control.mode, None if row is None else row.epoch_us)
+        answer = TorqueAnswer.before_the_first(now.spacecraft.control.mode, None if row is None else row.epoch_us)
     else:
         answer = TorqueAnswer.of(command)
     return NewestTorqueAnswer(**dict(answer), control=present.control)

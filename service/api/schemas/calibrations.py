@@ -41,7 +41,7 @@ from service.records.levels.attitude import Axes
 from service.records.operations.work import Replay, ReplayVersion
 from service.records.record_fields import record_fields
 from service.runtime.jobs.alignment_service import AlignmentRequest
-from service.runtime.jobs.archive_maintenance import WindowHarmonics
+from service.runtime.jobs.analysis import WindowHarmonics
 
 Sensor = Literal["star_tracker", "earth_sensor", "radio_beacon", "other"]
 #: what an operation of the archive is named by; it counts with int32

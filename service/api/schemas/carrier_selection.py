@@ -17,7 +17,7 @@ from service.pipeline.planning.planning import (
 )
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import named_axes
-from service.runtime.jobs.archive_maintenance import CarrierRecommendation
+from service.runtime.jobs.analysis import CarrierRecommendation
 
 
 def _named(values: Any) -> Any:

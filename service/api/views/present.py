@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from itertools import chain
+from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
 from service.api.context import ApiContext
@@ -26,14 +26,16 @@ from service.pipeline.control.release.control_verdict import ControlVerdict, Con
 from service.pipeline.control.situation import RATE_WINDOW_S, SpacecraftSituation, recent_rate, situation_of
 from service.pipeline.estimation.robust.attitude_rows import ADVICE
 from service.ports.archive import LIVE
+from service.ports.storage import ClockReading
 from service.records.calibration import CalibrationState, Window
 from service.records.catalogue import Method, Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.inputs import Correction, Operation
 from service.records.levels.attitude import NO_AXES, AttitudeRow, Axes, ReleasedCommand, Status, TorqueCommand
+from service.records.levels.measurement import Whereabouts
 from service.records.operations.alarms import Alarm, Cover
-from service.records.operations.work import LinkReport, LinkState
-from service.runtime.jobs.archive_maintenance import newest_advice, runnable_methods
+from service.records.operations.work import LinkState
+from service.runtime.jobs.archive_maintenance import runnable_methods
 
 _Found = TypeVar("_Found")
 
@@ -41,40 +43,34 @@ _Found = TypeVar("_Found")
 SILENT = "SILENT"
 
 
-def link_answers(context: ApiContext, states: Iterable[LinkState]) -> list[LinkAnswer]:
-    """Return links as they are told."""
-    missing: dict[str, dict[str, int | None]] = {}
-    reported = []
+def link_answers(
+    context: ApiContext, states: Iterable[LinkState], known: Iterable["SpacecraftNow"] = ()
+) -> list[LinkAnswer]:
+    """Return links as they are told; spacecraft that are known already are not looked up."""
+    by_id: dict[str, SpacecraftNow | None] = {each.spacecraft.id: each for each in known}
+    answers = []
     for state in states:
-        spacecraft_id, source = state.report.spacecraft_id, state.report.source
-        if spacecraft_id is not None and spacecraft_id not in missing:
-            missing[spacecraft_id] = _rows_missing(context, spacecraft_id)
-        reported.append(_link_answer(context, state, missing.get(spacecraft_id or "", {}).get(source or "")))
-    return reported
+        spacecraft_id = state.report.spacecraft_id
+        if spacecraft_id is not None and spacecraft_id not in by_id:
+            by_id[spacecraft_id] = _now_of(context, spacecraft_id)
+        answers.append(_link_answer(context, state, by_id.get(spacecraft_id or "")))
+    return answers
 
 
-def _rows_missing(context: ApiContext, spacecraft_id: str) -> dict[str, int | None]:
-    """Return the missing rows of each source; none for a spacecraft that the catalogue lacks."""
+def _now_of(context: ApiContext, spacecraft_id: str) -> "SpacecraftNow | None":
+    """Return a spacecraft as it stands now; None for one that the catalogue lacks."""
     try:
-        return {source.id: source.rows_missing for source in context.storage.archive.sources(spacecraft_id)}
+        return SpacecraftNow(context, spacecraft_id)
     except NotFoundError:
-        return {}
-
-
-def _last_good_age_s(context: ApiContext, report: LinkReport) -> float | None:
-    """Return the age of the newest good row by the clock of its epoch; None before the first."""
-    try:
-        now_us = None if report.spacecraft_id is None else context.clock.now_us(report.spacecraft_id)
-    except NotFoundError:
-        now_us = None
-    if report.last_good_us is None:
         return None
-    return _age_s(context.clock.system_us() if now_us is None else now_us, report.last_good_us)
 
 
-def _link_answer(context: ApiContext, state: LinkState, rows_missing: int | None) -> LinkAnswer:
-    """Return a link as it is told."""
+def _link_answer(context: ApiContext, state: LinkState, now: "SpacecraftNow | None") -> LinkAnswer:
+    """Return a link as it is told; the age of its newest good row is by the clock of its epoch."""
     report, now_us = state.report, context.clock.system_us()
+    present_us = None if now is None else now.clock.now_us
+    rows_missing = {} if now is None else {source.id: source.rows_missing for source in now.at.sources}
+    good_us = now_us if present_us is None else present_us
     return LinkAnswer.of(
         report,
         state=SILENT if state.is_silent(now_us) else report.state,
@@ -83,9 +79,9 @@ def _link_answer(context: ApiContext, state: LinkState, rows_missing: int | None
         reported_at=state.reported_at_us,
         age_s=_age_s(now_us, state.reported_at_us),
         period_s=state.period_s,
-        last_good_age_s=_last_good_age_s(context, report),
+        last_good_age_s=None if report.last_good_us is None else _age_s(good_us, report.last_good_us),
         reset_pending=state.resets > report.reset_seen,
-        rows_missing=rows_missing,
+        rows_missing=rows_missing.get(report.source or ""),
     )
 
 
@@ -100,41 +96,198 @@ EXPIRED = "expired"
 CATCH_UP = "catch_up"
 
 
-def newest_attitude(context: ApiContext, spacecraft_id: str, method: Method) -> AttitudeRow | None:
-    """Return the newest live row of a method as it holds now; None before the first."""
-    row = context.storage.results.newest_attitude(spacecraft_id, LIVE, method)
-    if row is None:
-        return None
-    if context.supervisor.is_catching_up(spacecraft_id):
-        row = _not_present(row, row.status, CATCH_UP)
-    return _not_present(row, Status.EXPIRED, EXPIRED) if _is_expired(context, spacecraft_id, row) else row
+class SpacecraftNow:
+    """A spacecraft as it stands now: one statement asks where it stands, and only what has moved is read.
+
+    The process that runs its chain has rows, commands and their count from the chain; another one reads them after each
+    row.
+
+    Parameters
+    ----------
+    context : ApiContext
+        Archive, clock, supervisor, and what was read before.
+    spacecraft_id : str
+        NotFoundError ``spacecraft.unknown`` where it does not exist.
+    """
+
+    def __init__(self, context: ApiContext, spacecraft_id: str) -> None:
+        self._context, self._id, self._storage = context, spacecraft_id, context.storage
+        self.at: Whereabouts = context.storage.catalogue.whereabouts(spacecraft_id)
+        head, self._kept_from_us = self.at.head, self.at.kept_from_us
+        self._newest = context.supervisor.newest_results(spacecraft_id, head)
+        self._results = (head.consumed_number, head.result_sequence, self._kept_from_us)
+
+    @property
+    def spacecraft(self) -> Spacecraft:
+        """Entry of the catalogue."""
+        return self._part("spacecraft", self.at.digest, lambda: self._storage.catalogue.spacecraft(self._id))
+
+    @property
+    def clock(self) -> ClockReading:
+        """Reading of its clock."""
+        return self._context.clock.reading(self.spacecraft, self.at.head.newest_epoch_us)
+
+    @property
+    def alignment_id(self) -> int | None:
+        """Alignment that holds; None before the first, and where it cannot be read."""
+        return self._alignment[0]
+
+    @property
+    def calibration_id(self) -> int | None:
+        """Newest calibration in force; None without, and where it cannot be read."""
+        read = self._storage.results.calibrations
+        active = self._part(
+            "calibrations",
+            self.at.calibration_id,
+            lambda: _readable(lambda: read(self._id, CalibrationState.ACTIVE)),
+        )
+        return active[0].id if active else None
+
+    @property
+    def links(self) -> tuple[LinkState, ...]:
+        """Links of front ends."""
+        return self._part("links", self.at.links, lambda: self._storage.links.links(self._id))
+
+    @property
+    def pending(self) -> int:
+        """Rows that wait for a result; counted in the archive only where the chain cannot tell."""
+        head, (alignment_id, methods) = self.at.head, self._alignment
+        place = _Count(
+            head.newest_number, head.consumed_number, head.result_sequence, (alignment_id, methods, self._kept_from_us)
+        )
+        before = self._context.memory.known(self._id, "pending")
+        if before is not None and self._is_as_before(before[0], place):
+            self._context.memory.put(self._id, "pending", place, before[1])
+        return self._part("pending", place, lambda: self._storage.results.pending(self._id, methods))
+
+    def row(self, method: Method) -> AttitudeRow | None:
+        """Return the newest live row of a method as it holds now; None before the first."""
+        row = self._stored_row(method)
+        if row is None:
+            return None
+        if self._context.supervisor.is_catching_up(self._id):
+            row = _not_present(row, row.status, CATCH_UP)
+        is_data, now_us = self.clock
+        limit_us = self._context.limits.expired_after_s * US_PER_S
+        is_expired = not is_data and now_us is not None and now_us - row.epoch_us > limit_us
+        return _not_present(row, Status.EXPIRED, EXPIRED) if is_expired else row
+
+    def command(self) -> TorqueCommand | None:
+        """Return the newest command as it is stored; asked for after the row it is as new as that or newer."""
+        if self._newest is not None:
+            return self._newest.command
+        return self._part("command", self._results, lambda: self._storage.results.newest_command(self._id, LIVE))
+
+    def advice(self) -> tuple[str, ...]:
+        """Return the advice of the newest row of the robust method."""
+        if self._newest is not None and Method.ROBUST in self._newest.lacking and not self._tail(Method.ROBUST):
+            # it gives rows without anything yet
+            return ()
+        row = self._stored_row(Method.ROBUST)
+        return () if row is None else row.advice
+
+    def rate(self, row: AttitudeRow) -> Axes | None:
+        """Return the rate of the angles up to the newest row, deg/s."""
+        start_us = self._unmoved_since_us(row.epoch_us)
+        place = (row.method, row.epoch_us, row.number, start_us)
+        return self._part("rate", place, lambda: recent_rate(self._rows_up_to(row, start_us)))
+
+    def _part(self, name: str, numbers: object, read: Callable[[], _Found]) -> _Found:
+        return self._context.memory.part(self._id, name, numbers, read)
+
+    @property
+    def _alignment(self) -> tuple[int | None, tuple[Method, ...]]:
+        """Newest alignment, and the methods that give every row since a result."""
+
+        def newest() -> tuple[int | None, tuple[Method, ...]]:
+            alignments = _readable(lambda: self._storage.results.alignments(self._id))
+            return (alignments[0].id if alignments else None), runnable_methods(alignments)
+
+        return self._part("alignment", self.at.alignment_id, newest)
+
+    def _is_as_before(self, before: "_Count", place: "_Count") -> bool:
+        """Return whether as many rows lack a result as at a former count: the chain has given all since theirs."""
+        newest, number, (_, methods, _) = self._newest, before.consumed_number, place.of
+        if newest is None or before == place or before.of != place.of:
+            return False
+        is_at_end = number == before.newest_number and place.consumed_number == place.newest_number
+        lacking = max((newest.lacking.get(method, 0) for method in methods), default=0)
+        return is_at_end and newest.since_number <= number and lacking <= number
+
+    def _tail(self, method: Method) -> tuple[AttitudeRow, ...]:
+        """Return the newest rows of a method that the chain of this process has made."""
+        return () if self._newest is None else self._newest.rows.get(method, ())
+
+    def _stored_row(self, method: Method) -> AttitudeRow | None:
+        tail = self._tail(method)
+        oldest_us = max(self.at.head.consumed_epoch_us or 0, self._kept_from_us or 0)
+        if tail and tail[-1].epoch_us >= oldest_us:
+            return tail[-1]
+        read = self._storage.results.newest_attitude
+        return self._part(f"row of {method}", self._results, lambda: read(self._id, LIVE, method))
+
+    def _rows_up_to(self, row: AttitudeRow, start_us: int) -> tuple[AttitudeRow, ...]:
+        """Return the rows from an epoch to the newest row, in order, at most so many as a rate is taken from."""
+        name, read = f"rows of {row.method}", self._storage.results.attitude_rows
+        tail = self._tail(row.method)
+        before = self._context.memory.known(self._id, name)
+        rows: tuple[AttitudeRow, ...] = () if before is None or before[0] > start_us else before[1]
+        last = (rows[-1].epoch_us, rows[-1].number) if rows else None
+        if last in [(each.epoch_us, each.number) for each in tail]:
+            rows = (*rows, *(each for each in tail if (each.epoch_us, each.number) > last))
+        else:
+            window = Window(start_us, row.epoch_us + 1)
+            newest_first = partial(read, self._id, LIVE, row.method, window, _RATE_ROWS, None, newest_first=True)
+            rows = _readable(lambda: tuple(newest_first()))[::-1]
+        rows = tuple(each for each in rows[-_RATE_ROWS:] if each.epoch_us >= start_us)
+        self._context.memory.put(self._id, name, start_us, rows)
+        return rows
+
+    def _unmoved_since_us(self, until_us: int) -> int:
+        """Return from where on the newest rows tell a rate: the slope of a commanded motion goes on no more."""
+        start_us = until_us - round(RATE_WINDOW_S * US_PER_S)
+
+        def commanded() -> tuple[Correction | ReleasedCommand, ...]:
+            read = partial(self._storage.archive.inputs, self._id, newest_first=True)
+            kinds, later = ("correction", "released_command"), Window(start_us, _EVER_US)
+            contents = (entry.content for kind in kinds for entry in read(kind, later, _MOTIONS, None))
+            return tuple(each for each in contents if isinstance(each, Correction | ReleasedCommand))
+
+        # applied commands are inputs too: the chain, which tells them apart, spares a look after each
+        chain = None if self._newest is None else (self._newest.since_number, self._newest.motion_number)
+        motions = self._part("motions", chain or self.at.input_number, commanded)
+        ends_us = [each.stop_us for each in motions if _start_of(each) <= until_us]
+        return min(max([start_us, *ends_us]), until_us)
 
 
-def newest_command(
-    context: ApiContext, spacecraft: Spacecraft, row: AttitudeRow | None, *, is_withheld: bool
-) -> TorqueCommand | None:
+class _Count(NamedTuple):
+    """Position at which pending rows were counted."""
+
+    newest_number: int
+    consumed_number: int
+    sequence: int
+    #: alignment and methods that they wait for, and from which epoch on results are kept
+    of: tuple[int | None, tuple[Method, ...], int | None]
+
+
+def _start_of(motion: Correction | ReleasedCommand) -> int:
+    return motion.start_us if isinstance(motion, Correction) else motion.released_us
+
+
+def newest_command(now: SpacecraftNow, row: AttitudeRow | None, *, is_withheld: bool) -> TorqueCommand | None:
     """Return the newest command as it holds now, given the newest row of the method that drives control.
 
     A row from which nothing was computed stores no command, yet it ends the one before, and so does a trip: the answer
     is then the zero command that follows from that row, with its reasons. None before the first command.
     """
-    # read after the row: a row and its command are stored together, so this one is as new as the row or newer
-    command = context.storage.results.newest_command(spacecraft.id, LIVE)
+    command = now.command()
     if command is None or row is None:
         return command
     is_ended = command.attitude_epoch_us < row.epoch_us and bool(row.inhibitions)
     is_present = {EXPIRED, CATCH_UP}.isdisjoint(row.inhibitions)
     if is_present and not is_ended and not (is_withheld and command.is_permitted):
         return command
-    return ended_command(row, spacecraft, command.command_period_s, is_withheld=is_withheld)
-
-
-def _is_expired(context: ApiContext, spacecraft_id: str, row: AttitudeRow) -> bool:
-    """Return whether a row is too old to be the present."""
-    if context.clock.is_data(spacecraft_id):
-        return False
-    now_us = context.clock.now_us(spacecraft_id)
-    return now_us is not None and now_us - row.epoch_us > context.limits.expired_after_s * US_PER_S
+    return ended_command(row, now.spacecraft, command.command_period_s, is_withheld=is_withheld)
 
 
 def _not_present(row: AttitudeRow, status: Status, reason: str) -> AttitudeRow:
@@ -163,87 +316,57 @@ class Present(NamedTuple):
         return VerdictAnswer.of(self.verdict, situation=self.situation)
 
 
-def present_of(context: ApiContext, spacecraft: Spacecraft, view: ControlView | None = None) -> Present:
+def present_of(context: ApiContext, now: SpacecraftNow, view: ControlView | None = None) -> Present:
     """Return the present; a view that an order has just given stands for the interlock."""
-    row = newest_attitude(context, spacecraft.id, spacecraft.control.method)
+    spacecraft = now.spacecraft
+    row = now.row(spacecraft.control.method)
     if view is None:
         try:
             view = context.release_service.control(spacecraft.id)
         except StorageError:
             # estimation can be read while nothing can be stored
             view = None
-    command = newest_command(context, spacecraft, row, is_withheld=view is not None and view.is_withheld)
+    command = newest_command(now, row, is_withheld=view is not None and view.is_withheld)
     failing = context.supervisor.failures.lasting(spacecraft.id)
     failure = failing[0].error if failing else None
-    now_us = context.clock.now_us(spacecraft.id)
+    now_us = now.clock.now_us
     age_s = None if row is None or now_us is None else _age_s(now_us, row.epoch_us)
     verdict = control_verdict(view, row if command is None else command, failure, age_s)
-    rate = None if row is None else _recent_rate(context, spacecraft.id, row)
+    rate = None if row is None else now.rate(row)
     return Present(row, command, verdict, situation_of(row, verdict, context.interlock.validity_limit_deg, rate))
 
 
 #: rows that a rate is taken from; the newest half hour of them where they come each ten seconds
 _RATE_ROWS = 180
-
-
-def _recent_rate(context: ApiContext, spacecraft_id: str, row: AttitudeRow) -> Axes | None:
-    """Return the rate of the angles up to a row; the rows before it are read once for all requests."""
-    place = (row.method, row.epoch_us, row.number)
-    known = context.recent_rates.get(spacecraft_id)
-    if known is None or known[0] != place:
-        window = Window(row.epoch_us - round(RATE_WINDOW_S * US_PER_S), row.epoch_us + 1)
-        read = context.storage.results.attitude_rows
-        rows = _readable(
-            lambda: tuple(
-                read(
-                    *(spacecraft_id, LIVE, row.method, _since_commanded(context, spacecraft_id, window)),
-                    *(_RATE_ROWS, None),
-                    newest_first=True,
-                )
-            )
-        )
-        known = context.recent_rates[spacecraft_id] = (place, recent_rate(rows[::-1]))
-    return known[1]
-
-
-def _since_commanded(context: ApiContext, spacecraft_id: str, window: Window) -> Window:
-    """Return the part of a window after the newest motion that was commanded: the slope of that goes on no more."""
-    asked = ((spacecraft_id, kind, window, 1, None) for kind in ("correction", "released_command"))
-    entries = chain.from_iterable(context.storage.archive.inputs(*each, newest_first=True) for each in asked)
-    ends_us = [each.content.stop_us for each in entries if isinstance(each.content, Correction | ReleasedCommand)]
-    return Window(min(max(ends_us, default=window.start_us), window.stop_us - 1), window.stop_us)
+#: commanded motions that are looked at, of each kind
+_MOTIONS = 100
+_EVER_US = 1 << 62
 
 
 def status_of(context: ApiContext, spacecraft_id: str) -> StatusAnswer:
     """Return the present state; NotFoundError ``spacecraft.unknown``."""
-    storage, clock = context.storage, context.clock
-    spacecraft = storage.catalogue.spacecraft(spacecraft_id)
-    # in this order: with nothing pending, the newest attitude is that of the newest measurement told, or of a later one
-    newest_us = storage.archive.head(spacecraft_id).newest_epoch_us
-    methods = _readable(lambda: runnable_methods(storage, spacecraft_id))
-    pending = storage.results.pending(spacecraft_id, methods)
-    present = present_of(context, spacecraft)
-    row, verdict = present.row, present.verdict
-    alignments = _readable(lambda: storage.results.alignments(spacecraft_id))
-    active = _readable(lambda: storage.results.calibrations(spacecraft_id, CalibrationState.ACTIVE))
-    advice = newest_advice(storage, spacecraft_id)
+    # with nothing pending, the newest attitude is that of the newest measurement told, or of a later one
+    now = SpacecraftNow(context, spacecraft_id)
+    present, pending = present_of(context, now), now.pending
+    row, verdict, advice = present.row, present.verdict, now.advice()
+    is_data, now_us = now.clock
     return StatusAnswer.model_validate(
         {
-            "newest_measurement": newest_us,
+            "newest_measurement": now.at.head.newest_epoch_us,
             "newest_attitude": None if row is None else row.epoch_us,
             "pending": pending,
-            "aligned": bool(alignments),
+            "aligned": now.alignment_id is not None,
             "realignment_advised": "realign" in advice,
             "advice": [{"code": code, "text": ADVICE[code]} for code in advice if code in ADVICE],
             "methods_disagree": context.supervisor.is_disagreeing(spacecraft_id),
-            "clock": "data" if clock.is_data(spacecraft_id) else "system",
-            "now": clock.now_us(spacecraft_id),
-            "links": _links_of_sources(context, spacecraft_id),
+            "clock": "data" if is_data else "system",
+            "now": now_us,
+            "links": _links_of_sources(context, now),
             "control": present.control,
             "interlock": {"state": verdict.state, "reasons": [reason.code for reason in verdict.reasons]},
-            "method": spacecraft.control.method,
-            "calibration_id": active[0].id if active else None,
-            "alignment_id": alignments[0].id if alignments else None,
+            "method": now.spacecraft.control.method,
+            "calibration_id": now.calibration_id,
+            "alignment_id": now.alignment_id,
         }
     )
 
@@ -258,11 +381,11 @@ def _readable(read: Callable[[], tuple[_Found, ...]]) -> tuple[_Found, ...]:
         return ()
 
 
-def _links_of_sources(context: ApiContext, spacecraft_id: str) -> list[dict[str, Any]]:
+def _links_of_sources(context: ApiContext, now: SpacecraftNow) -> list[dict[str, Any]]:
     """Return every source with the links that carry it, then links that have brought nothing yet."""
-    reported = link_answers(context, context.storage.links.links(spacecraft_id))
+    reported = link_answers(context, now.links, [now])
     found = []
-    for source in context.storage.archive.sources(spacecraft_id):
+    for source in now.at.sources:
         seen = {
             "source": source.id,
             "role": source.role,

@@ -31,7 +31,7 @@ def maintenance(
         end(f"cannot use the database: {error}", cause=error)
     try:
         work = build_maintenance(settings, storage, build_clock(settings, storage))
-        work.poll_once()
+        failed = work.do_all()
     finally:
         storage.close()
     dropped = {series: rows for series, rows in work.dropped_rows.items() if rows}
@@ -40,12 +40,12 @@ def maintenance(
             "sealed_rows": work.sealed_rows,
             "sealed_results": work.sealed_results,
             "dropped_rows": dropped,
-            "failed_spacecraft": work.failed_polls,
+            "failed_spacecraft": failed,
         }
         typer.echo(json.dumps(reported))
     else:
         typer.echo(f"sealed {work.sealed_rows} rows, {work.sealed_results} results")
         for series, rows in dropped.items():
             typer.echo(f"dropped {rows} rows of {series}")
-    if work.failed_polls:
+    if failed:
         raise typer.Exit(EXIT_FAULT)

@@ -5,7 +5,8 @@ Whatever ends the command leaves a failed version, or, when it is killed, an unf
 leads computes to its end.
 """
 
-from collections.abc import Callable
+import uuid
+from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, as_completed
 from functools import partial
 from typing import TYPE_CHECKING
@@ -15,16 +16,13 @@ from service.cli.studies.screen import ended_by_signals
 from service.composition.bootstrap import build_clock, open_storage, storage_opener
 from service.composition.settings import Settings
 from service.errors import SooError
-from service.records.operations.work import JobState, Replay
-from service.runtime.jobs.job_runner import JobAbortedError, JobRunner
-from service.runtime.jobs.replay_job import Replayer
-from service.runtime.jobs.replay_run import ReplayRun, ReplaySpan, run_span_in_process
-from service.study.executors import ClusterError, SerialExecutor, WorkerChoice, do_work, executor_of
+from service.records.operations.work import Replay
+from service.runtime.jobs.replay import Replayer, ReplayRun, ReplaySpan, run_span_in_process
+from service.study.executors import ClusterError, WorkerChoice, do_work, executor_of
 
 if TYPE_CHECKING:
     from service.ports.archive import Outcome
     from service.ports.storage import Storage
-    from service.runtime.jobs.job_runner import Progress
 
 #: entries of the journal in a span: ten seconds of computing, beside which the start of a piece of work is little
 LEAST_ENTRIES = 10_000
@@ -46,46 +44,39 @@ def replay_in_parts(
 def _replayed(
     settings: Settings, spacecraft_id: str, wanted: Replay, pool: Executor, show: Callable[[float], None]
 ) -> Replay:
-    """Store a replay, compute it and return it; JobAbortedError where it failed."""
+    """Store a replay, compute it and return it; end the command where it failed."""
     storage = open_storage(settings)
     try:
         clock = build_clock(settings, storage)
-        run = partial(_run, settings, storage, pool, show)
-        replayer = Replayer(storage, clock, JobRunner(storage.results, clock, SerialExecutor()), run)
         storage.catalogue.spacecraft(spacecraft_id)
-        replay, job = replayer.start(spacecraft_id, wanted)
-        ended = storage.results.job(job.id)
-        if ended.state is not JobState.DONE:
-            end(f"{replay.version} failed: {ended.error}", 1)
+        holder = f"command-{uuid.uuid4().hex}"
+        replay, job = Replayer(storage, clock, lambda: None).start(spacecraft_id, wanted, holder)
+        storage.results.hold_job(job.id, holder)
+        try:
+            for share in _shares(settings, storage, pool, spacecraft_id, replay.version):
+                storage.results.report_job(job.id, holder, share)
+                show(share)
+        except (BrokenExecutor, ClusterError, SooError, OSError, ValueError, KeyboardInterrupt) as error:
+            text = "it was stopped; start it again" if isinstance(error, KeyboardInterrupt) else str(error)
+            storage.results.end_job(job.id, text)
+            end(f"{replay.version} failed: {text}", 1)
+        storage.results.end_job(job.id)
         return replay
     finally:
         storage.close()
 
 
-def _run(
-    settings: Settings,
-    storage: "Storage",
-    pool: Executor,
-    show: Callable[[float], None],
-    spacecraft_id: str,
-    version: str,
-    report: "Progress",
-) -> None:
+def _shares(
+    settings: Settings, storage: "Storage", pool: Executor, spacecraft_id: str, version: str
+) -> Iterator[float]:
     """Compute the spans of a replay in any order, and store what belongs after former spans in theirs."""
     config = settings.chain_config()
     spans = ReplayRun(storage, config, spacecraft_id, version).spans(LEAST_ENTRIES)
     work = partial(run_span_in_process, storage_opener(settings), config, spacecraft_id, version)
     former: dict[ReplaySpan, list[Outcome]] = {}
-    try:
-        running = {pool.submit(do_work, work, span): span for span in spans}
-        for done in as_completed(running):
-            former[running[done]] = done.result()
-            report(len(former) / len(spans))
-            show(len(former) / len(spans))
-    except (BrokenExecutor, ClusterError, OSError, ValueError) as error:
-        raise JobAbortedError(str(error)) from error
-    except KeyboardInterrupt:
-        message = "it was stopped; start it again"
-        raise JobAbortedError(message) from None
+    running = {pool.submit(do_work, work, span): span for span in spans}
+    for done in as_completed(running):
+        former[running[done]] = done.result()
+        yield len(former) / len(spans)
     for span in spans:
         storage.results.save_outcomes(spacecraft_id, version, former[span], 0, None)

@@ -35,7 +35,7 @@ from service.records.catalogue import CarrierPlan, Spacecraft
 from service.records.epoch import US_PER_S, format_epoch
 from service.records.levels.attitude import BoolArray, FloatArray, named_axes
 from service.records.levels.measurement import MeasurementSeries
-from service.runtime.jobs.archive_maintenance import CarrierRecommendation, wanted_count
+from service.runtime.jobs.analysis import CarrierRecommendation, wanted_count
 
 if TYPE_CHECKING:
     from service.cli.importing.manifest import WindowSection

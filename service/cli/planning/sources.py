@@ -155,7 +155,7 @@ def _assumed_document(payload: Any, request: PlanRequest, spacecraft: Spacecraft
     from service.api.schemas.carrier_selection import CarrierSelectionAnswer, Turns
     from service.pipeline.planning.assumed_beams import offered_sites
     from service.pipeline.planning.planning import Rule, recommend
-    from service.runtime.jobs.archive_maintenance import CarrierRecommendation, wanted_count
+    from service.runtime.jobs.analysis import CarrierRecommendation, wanted_count
 
     count = wanted_count(payload.candidates, request.count, "the carrier plan")
     offered = offered_sites(payload, payload.candidates)

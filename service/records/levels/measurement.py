@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field, fields
 from enum import IntFlag
 from types import EllipsisType
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -286,3 +286,21 @@ class HeadState:
     consumed_epoch_us: int | None
     #: counts stored results of the live version
     result_sequence: int
+
+
+class Whereabouts(NamedTuple):
+    """Positions of everything that is stored of a spacecraft: what was read of it before holds while they stay."""
+
+    head: HeadState
+    sources: tuple[SourceState, ...]
+    #: digest of the catalogue's entry
+    digest: str
+    #: number of the newest entry of the journal that is no row
+    input_number: int
+    #: newest alignment, and newest calibration in force
+    alignment_id: int | None
+    calibration_id: int | None
+    #: attitude of before is no longer kept, microseconds UTC; None = all is
+    kept_from_us: int | None
+    #: other ones after each report of a link and each order to one
+    links: tuple[int, ...]

@@ -17,6 +17,21 @@ class JobState(StrEnum):
     FAILED = "failed"
 
 
+class JobKind(StrEnum):
+    """Kind of a job."""
+
+    CALIBRATION = "calibration"
+    SMOOTHING = "smoothing"
+    SEALING = "sealing"
+    REPLAY = "replay"
+
+
+#: the least is done first; jobs yield to those before them between two pieces
+PRIORITIES: dict[str, int] = {kind.value: number for number, kind in enumerate(JobKind)}
+#: jobs that no person makes: one of a spacecraft, queued again and again
+STANDING_KINDS = (JobKind.SMOOTHING, JobKind.SEALING)
+
+
 @dataclass(frozen=True, slots=True)
 class Job:
     """One piece of long work."""
@@ -27,6 +42,8 @@ class Job:
     progress: Annotated[float, "0..1"]
     created_at_us: int
     error: Annotated[str | None, "Why it failed, and what to do."] = None
+    spacecraft_id: Annotated[str | None, "Spacecraft that it is about."] = None
+    subject: Annotated[str | None, "Number of the calibration, or version of the replay."] = None
 
 
 @dataclass(frozen=True, slots=True)

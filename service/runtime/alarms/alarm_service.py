@@ -26,7 +26,7 @@ from service.runtime.alarms.clock_checks import ClockChecks
 from service.runtime.alarms.notifications import NoticeChannels
 from service.runtime.live.leadership import always, elsewhere
 from service.runtime.live.live_feed import Cursor, FeedEvent, LiveFeed, Seen
-from service.runtime.live.step_failures import StepFailures
+from service.runtime.live.supervisor import StepFailures
 
 #: what is kept of the rows may be so old, us, and their period so far off
 _FAR_US = 600 * US_PER_S

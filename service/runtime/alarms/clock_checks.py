@@ -18,7 +18,7 @@ from service.records.calibration import CalibrationState
 from service.records.epoch import US_PER_S
 from service.records.levels.measurement import SourceState
 from service.records.operations.work import LinkState
-from service.runtime.live.step_failures import StepFailures
+from service.runtime.live.supervisor import StepFailures
 
 _SILENT = "SILENT"
 #: the least age of a warning, so that one of this very instant stands too, s

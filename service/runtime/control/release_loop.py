@@ -34,7 +34,7 @@ from service.runtime.live.leadership import always, elsewhere, is_moving
 
 _LOG = logging.getLogger("soo.release")
 #: facts of the archive hold for so long, unless something came in, s
-_FACTS_S = 20.0
+_FACTS_S = 60.0
 
 
 def _steady_us() -> int:
@@ -173,7 +173,9 @@ class ReleaseLoop:
         Rows that are stored and not yet computed do not move that clock: they would make the estimate look old to
         any caller before they are.
         """
-        if not self.clock.is_data(spacecraft_id):
+        # asked several times a row: without a look at the catalogue, where the spacecraft is known
+        spacecraft = None if context.known is None else context.known.spacecraft
+        if not (self.clock.reading(spacecraft, 0).is_data if spacecraft else self.clock.is_data(spacecraft_id)):
             # read together: a process that is stopped between two readings would see a jump of the clock
             readings = ((self.steady_us(), self.clock.system_us(), self.steady_us()) for _ in range(3))
             before_us, now_us, _ = min(readings, key=lambda reading: reading[2] - reading[0])

@@ -6,19 +6,21 @@ is judged and how stands in `service.pipeline.control.release`, how a step is ke
 `service.runtime.control.release_context`; nothing here decides anything.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
+from threading import Lock
 
 from service.core.control.slew_schedule import Envelope
-from service.errors import ConflictError, GoneError, InvalidInputError, NotFoundError
+from service.errors import ConflictError, ForbiddenError, GoneError, InvalidInputError, NotFoundError
 from service.pipeline.control.release import events
 from service.pipeline.control.release.advance import settled_at
 from service.pipeline.control.release.command_states import CommandTransition
 from service.pipeline.control.release.control_verdict import ControlView, control_view
 from service.pipeline.control.release.events import OrderKind, Report, digest_of, state_of
 from service.pipeline.control.release.interlock import Instant
+from service.ports.storage import Catalogue
 from service.records.calibration import Window
-from service.records.catalogue import ControlMode, Spacecraft
+from service.records.catalogue import ControlMode, Release, Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.operations.release import Command, CommandRequest, ProductForm, UplinkProduct
 from service.runtime.control.release_context import ReleaseContext
@@ -209,3 +211,42 @@ def _is_repeated(command: Command, event: Report) -> bool:
         return command.sent_us is not None and event.reported_at_us in (None, command.sent_us)
     executed_us = (event.executed_from_us, event.executed_until_us)
     return command.state == event.transition.name and command.told_executed_us == executed_us
+
+
+#: how long the first request for release automatic waits for the second, s
+WAIT_S = 900.0
+
+
+@dataclass
+class AutomaticRelease:
+    """Requests for release automatic of a real spacecraft, which two approvers make; a restart forgets those that wait.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+        Where the release is set.
+    """
+
+    catalogue: Catalogue
+    #: who asked and when, by spacecraft
+    _requests: dict[str, tuple[str, int]] = field(default_factory=dict)
+    _lock: Lock = field(default_factory=Lock)
+
+    def ask(self, spacecraft_id: str, by: str, now_us: int) -> str | None:
+        """Ask for release automatic; return who asked before when that sets it, None while a second one is missing.
+
+        ForbiddenError ``interlock.second_person`` when the same approver asks again.
+        """
+        with self._lock:
+            first, asked_us = self._requests.get(spacecraft_id, (by, 0))
+            is_waiting = asked_us <= now_us < asked_us + round(WAIT_S * US_PER_S)
+            if not is_waiting:
+                self._requests[spacecraft_id] = by, now_us
+                return None
+            if first == by:
+                raise ForbiddenError("interlock.second_person", "release automatic needs two approvers")
+            del self._requests[spacecraft_id]
+            spacecraft = self.catalogue.spacecraft(spacecraft_id)
+            control = replace(spacecraft.control, release=Release.AUTOMATIC)
+            self.catalogue.replace_spacecraft(replace(spacecraft, control=control))
+            return first

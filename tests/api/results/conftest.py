@@ -1,6 +1,7 @@
 """The application with all that computes behind it, over a real SQLite archive that tests fill through the ports."""
 
 import asyncio
+import uuid
 from collections.abc import AsyncIterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -55,16 +56,15 @@ from service.records.catalogue import (
 )
 from service.records.levels.attitude import Axes
 from service.records.levels.measurement import CarrierDetails, Measurement, MeasurementBatch
-from service.records.operations.work import JobState, Replay
+from service.records.operations.work import Job, JobKind, JobState, Replay
 from service.runtime.alarms.alarm_service import AlarmService
 from service.runtime.alarms.notifications import NoticeChannels
 from service.runtime.control.release_context import ReleasePublisher
 from service.runtime.control.release_service import ReleaseService
 from service.runtime.jobs.alignment_service import Aligner
-from service.runtime.jobs.calibration_job import Calibrator, fitted
-from service.runtime.jobs.job_runner import JobRunner
-from service.runtime.jobs.replay_job import Replayer
-from service.runtime.jobs.replay_run import ReplayRun
+from service.runtime.jobs.calibration import CalibrationWork, Calibrator
+from service.runtime.jobs.job_runner import JobPieces, JobRunner, Work
+from service.runtime.jobs.replay import Replayer, replay_work
 from service.runtime.live.live_feed import LiveFeed
 from service.runtime.live.supervisor import Supervisor
 
@@ -213,10 +213,10 @@ class Bench:
         )
         return self.storage.results.add_alignment(SC, wanted)
 
-    def replay(self) -> str:
-        """Store a replay and return its version."""
-        job = self.jobs.add("replay")
-        self.storage.results.update_job(job.id, JobState.DONE, 1.0)
+    def replay(self, state: JobState = JobState.DONE, progress: float = 1.0, error: str | None = None) -> str:
+        """Store a replay whose job nobody runs, and return its version."""
+        job = Job(f"replay-{uuid.uuid4().hex}", "replay", state, progress, NOW_US, error)
+        self.storage.results.add_job(job, "nobody")
         wanted = Replay(0, 0, NOW_US, None, None, 1, "journal", job.id, NOW_US)
         return self.storage.results.add_replay(SC, wanted).version
 
@@ -240,7 +240,11 @@ async def bench(storage: SqlStorage) -> AsyncIterator[Bench]:
     nodes_us = tuple(NOW_US + k * 86_328 * S for k in range(-3, 1))
     storage.catalogue.put_ephemeris(SC, Ephemeris(0, nodes_us, 86_328.0, nodes_us[0], nodes_us[-1], "nodes"))
     clock, feed, config = SetClock(), LiveFeed(capacity=50), ChainConfig()
-    jobs = JobRunner(storage.results, clock)
+    works: dict[str, Work] = {
+        JobKind.CALIBRATION: CalibrationWork(storage, CalibrationConfig()),
+        JobKind.REPLAY: partial(replay_work, storage, config),
+    }
+    jobs = JobRunner(storage, clock, JobPieces(works).advance)
     publisher = ReleasePublisher(storage.audit, feed, lambda _: None)
     context = ApiContext(
         storage=storage,
@@ -249,11 +253,9 @@ async def bench(storage: SqlStorage) -> AsyncIterator[Bench]:
         # its thread is not started: tests look when they want to
         alarms=AlarmService(storage, clock, feed, condition_table(AlarmConfig(), RobustConfig()), NoticeChannels()),
         feed=feed,
-        calibrator=Calibrator(storage, clock, jobs, partial(fitted, CalibrationConfig()), 2),
+        calibrator=Calibrator(storage, clock, jobs.notify, 2),
         aligner=Aligner(storage, clock, AlignmentConfig()),
-        replayer=Replayer(
-            storage, clock, jobs, lambda sc, version, report: ReplayRun(storage, config, sc, version).run(report)
-        ),
+        replayer=Replayer(storage, clock, jobs.notify),
         release_service=ReleaseService(
             storage, clock, ReleaseSettings(), TorqueConfig(), publisher, steady_us=clock.system_us
         ),
@@ -263,6 +265,7 @@ async def bench(storage: SqlStorage) -> AsyncIterator[Bench]:
     app = with_shared_routes(create_app(context))
     headers = {"Authorization": f"Bearer {KEY}"}
     transport = httpx.ASGITransport(app=app)
+    jobs.start()
     async with httpx.AsyncClient(transport=transport, base_url="http://soo.test", headers=headers) as client:
         yield Bench(app, context, client, storage, clock, jobs)
     context.supervisor.stop()

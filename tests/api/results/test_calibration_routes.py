@@ -1,7 +1,6 @@
 """Calibrations, alignments, jobs, replays: shapes and steps over stored figures, and methods that are refused."""
 
 import asyncio
-import threading
 
 import pytest
 from role_keys import RoleKeys
@@ -11,7 +10,7 @@ from service.records.epoch import format_epoch
 from service.records.levels.attitude import Axes
 from service.records.operations.access import Role
 from service.records.operations.work import JobState
-from service.runtime.jobs.replay_job import Replayer
+from service.runtime.jobs.replay import Replayer
 
 pytestmark = pytest.mark.anyio
 
@@ -212,17 +211,17 @@ async def test_angles_by_hand_need_an_approver(bench):
 
 async def test_only_so_many_replays_wait_at_once(bench, make):
     """40 of them were 40 times 202."""
-    begun = threading.Event()
-    replayer = Replayer(bench.storage, bench.clock, bench.jobs, lambda *_: begun.wait(120), 3)
-    object.__setattr__(bench.context, "replayer", replayer)
+    bench.jobs.stop()
+    object.__setattr__(bench.context, "replayer", Replayer(bench.storage, bench.clock, bench.jobs.notify, 3))
     bench.calibrate([make.carrier_calibration(0, Axes(0.1, 1.0, 0.2))])
     bench.align(make.now_us)
     span = {"start": "2026-11-21T02:00:00Z", "stop": "2026-11-21T04:00:00Z"}
     answers = await asyncio.gather(*(bench.client.post(f"{bench.url}/replays", json=span) for _ in range(40)))
-    begun.set()
     assert sorted(answer.status_code for answer in answers) == [202] * 3 + [429] * 37
     busy = next(answer for answer in answers if answer.status_code == 429)
     assert (busy.json()["code"], busy.headers["retry-after"]) == ("replay.busy", "5")
+    while bench.jobs.poll_once():
+        pass
     for started in (answer for answer in answers if answer.status_code == 202):
         assert (await job_of(bench, started.json()["job"]))["state"] == "done"
     assert (await bench.client.post(f"{bench.url}/replays", json=span)).status_code == 202
@@ -333,11 +332,9 @@ async def test_a_deleted_version_is_unknown_to_everybody(bench):
 
 
 async def test_rows_of_a_version_that_is_not_complete_are_not_given(bench, make):
-    version = bench.replay()
-    job = bench.storage.results.replay(make.sc, version).replay.job_id
     reasons = {JobState.QUEUED: "is queued", JobState.RUNNING: "running (50%)", JobState.FAILED: "the disk was full"}
     for state, text in reasons.items():
-        bench.storage.results.update_job(job, state, 0.5, "the disk was full")
+        version = bench.replay(state, 0.5, "the disk was full")
         for path in ("attitude/history", "torques/history", "archive/attitude:export"):
             answer = await bench.client.get(f"{bench.url}/{path}", params={"version": version})
             assert (answer.status_code, answer.json()["code"]) == (409, "replay.unfinished"), path

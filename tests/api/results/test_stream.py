@@ -438,7 +438,7 @@ def link(state: str) -> LinkReport:
 async def test_changes_of_links_jobs_and_notes_come_as_the_lists_tell_them(served, bench, make):
     storage = bench.storage
     storage.links.report([link("MEASURE")], make.now_us)
-    storage.results.add_job(Job("j-1", "replay", JobState.QUEUED, 0.0, make.now_us))
+    storage.results.add_job(Job("j-1", "replay", JobState.RUNNING, 0.0, make.now_us), "somebody")
     with served.open(None, "status", "link", "job", "note") as response:
         reader = Reader(response)
         # what there is at the first look is no change, and neither are ages
@@ -446,7 +446,7 @@ async def test_changes_of_links_jobs_and_notes_come_as_the_lists_tell_them(serve
         storage.notes.add(Note(0, make.sc, make.now_us - 99 * make.s, make.now_us, "ann", "<img onerror>", (), None))
         (note,) = reader.consume(1)
         assert (note.kind, note.data) == ("note", (await bench.client.get("/api/v1/notes")).json()["rows"][0])
-        storage.results.update_job("j-1", JobState.RUNNING, 0.5)
+        assert storage.results.report_job("j-1", "somebody", 0.5)
         (job,) = reader.consume(1)
         assert (job.kind, job.data) == ("job", (await bench.client.get("/api/v1/jobs/j-1")).json())
         storage.links.report([link("BACKOFF")], make.now_us)

@@ -17,7 +17,7 @@ from service.records.operations.work import LinkReport
 from service.runtime.alarms.alarm_service import AlarmService
 from service.runtime.alarms.notifications import NoticeChannels
 from service.runtime.live.live_feed import LiveFeed
-from service.runtime.live.step_failures import StepFailures
+from service.runtime.live.supervisor import StepFailures
 
 S = 1_000_000
 MINUTE = 60 * S

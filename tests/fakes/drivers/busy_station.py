@@ -2,6 +2,7 @@
 
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -12,18 +13,18 @@ from waiting import wait_until as wait_for
 from db.encoding.measurement_runs import pack_carriers
 from db.results import jobs
 from db.storage import SqlStorage
-from service.pipeline.config import AlignmentConfig, ChainConfig
+from service.pipeline.config import AlignmentConfig, CalibrationConfig, ChainConfig
 from service.ports.archive import LIVE
 from service.records.calibration import Window
 from service.records.catalogue import Method, Release
 from service.records.inputs import AttitudeReference, Correction, Operation
 from service.records.levels.attitude import Axes
 from service.records.levels.measurement import MeasurementBatch
-from service.records.operations.work import JobState, Replay
+from service.records.operations.work import JobKind, JobState, Replay
 from service.runtime.jobs.alignment_service import Aligner, AlignmentRequest
-from service.runtime.jobs.job_runner import JobRunner
-from service.runtime.jobs.replay_job import Replayer
-from service.runtime.jobs.replay_run import ReplayRun
+from service.runtime.jobs.calibration import CalibrationWork
+from service.runtime.jobs.job_runner import JobPieces, JobRunner
+from service.runtime.jobs.replay import Replayer, replay_work
 from service.runtime.live import supervisor
 from service.runtime.live.live_feed import LiveFeed
 from service.runtime.live.supervisor import Supervisor
@@ -54,8 +55,13 @@ class Station:
         self.url = url or f"sqlite:///{directory / 'soo.db'}"
         self.storage = SqlStorage(self.url)
         self.clock, self.config = SetClock(1_900_000_000_000_000), ChainConfig()
-        self.jobs = JobRunner(self.storage.results, self.clock)
-        self.replayer = Replayer(self.storage, self.clock, self.jobs, self.run_replay)
+        works = {
+            JobKind.REPLAY: partial(replay_work, self.storage, self.config),
+            JobKind.CALIBRATION: CalibrationWork(self.storage, CalibrationConfig()),
+        }
+        #: its thread is not started: `finish` does the pieces
+        self.jobs = JobRunner(self.storage, self.clock, JobPieces(works).advance)
+        self.replayer = Replayer(self.storage, self.clock, self.jobs.notify)
         self.aligner = Aligner(self.storage, self.clock, AlignmentConfig())
 
     def at(self, minute):
@@ -168,13 +174,10 @@ class Station:
         return self.storage.results.commands(self.id, version, self.window(start, stop), 100_000, None)
 
     def finish(self, job_id):
-        """Wait for a job and return how it ended."""
-        wait_for(lambda: self.storage.results.job(job_id).state in (JobState.DONE, JobState.FAILED))
-        return self.storage.results.job(job_id).state
-
-    def run_replay(self, spacecraft_id, version, report):
-        """Run a replay, in a thread."""
-        ReplayRun(self.storage, self.config, spacecraft_id, version).run(report)
+        """Do jobs until one has ended, and return how it ended."""
+        while (state := self.storage.results.job(job_id).state) not in (JobState.DONE, JobState.FAILED):
+            assert self.jobs.poll_once()
+        return state
 
     def replay(self, start, stop, **changes):
         """Replay some minutes and return the version."""

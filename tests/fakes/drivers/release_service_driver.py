@@ -15,6 +15,7 @@ from service.pipeline.control.release.control_verdict import ControlVerdict, Con
 from service.pipeline.control.release.events import OrderKind, SignJudged, StoredRow
 from service.pipeline.control.release.interlock_conditions import ReleaseSettings
 from service.ports.archive import Outcome
+from service.ports.storage import ClockReading
 from service.records.catalogue import Method
 from service.records.inputs import TelemetryRecord
 from service.records.levels.attitude import AttitudeRow, Axes, BalanceBasis, Disturbance, Status, TorqueCommand
@@ -56,6 +57,9 @@ class FakeClock:
 
     def __init__(self) -> None:
         self.now, self.steady, self.is_of_data = START_US, 5 * US, False
+
+    def reading(self, spacecraft, newest_epoch_us):
+        return ClockReading(self.is_of_data, self.now)
 
     def now_us(self, spacecraft_id):
         return self.now

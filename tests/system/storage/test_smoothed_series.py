@@ -16,7 +16,7 @@ from service.records.calibration import Window
 from service.records.catalogue import Method
 from service.records.epoch import US_PER_S, format_epoch
 from service.runtime.clock import system_now_us
-from service.runtime.jobs.lagged_run import LaggedOrder, LaggedRun
+from service.runtime.jobs.smoothing import LaggedOrder, LaggedRun
 
 pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(900), pytest.mark.nightly]
 

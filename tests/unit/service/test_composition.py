@@ -9,7 +9,7 @@ from service.composition.bootstrap import build_alarms
 from service.composition.settings import Settings
 from service.runtime.clock import SystemClock
 from service.runtime.live.live_feed import LiveFeed
-from service.runtime.live.step_failures import StepFailures
+from service.runtime.live.supervisor import StepFailures
 
 PLAIN = {
     "SOO_DATABASE_URL": ("database_url", "sqlite:///elsewhere.db", "sqlite:///elsewhere.db"),

@@ -6,7 +6,6 @@ runs of the same day can be compared bit for bit.
 
 import shutil
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +16,12 @@ from alarm_rig import CARRIERS, INERTIA, Rig
 from busy_station import Station, live_morning_of_states, morning, wait_for
 
 from db.storage import SqlStorage
-from service.pipeline.config import CalibrationConfig
 from service.ports.archive import LIVE
 from service.records.calibration import Window
 from service.records.catalogue import Method, Site, Spacecraft
 from service.records.operations.work import JobState
 from service.runtime.jobs.alignment_service import AlignmentRequest
-from service.runtime.jobs.calibration_job import Calibrator, fitted
+from service.runtime.jobs.calibration import Calibrator
 
 NOISE_DB = 0.05
 TRACKER = ("star_tracker",) * 3
@@ -35,7 +33,7 @@ class Ground(Station):
     def __init__(self, url: str, payload: Any) -> None:
         super().__init__(None, url)
         self.payload, self.synthetic = payload, synthetic
-        self.calibrator = Calibrator(self.storage, self.clock, self.jobs, partial(fitted, CalibrationConfig()), 8)
+        self.calibrator = Calibrator(self.storage, self.clock, self.jobs.notify, 8)
         self.operation_us = payload.request.turns.stop_us + synthetic.HOUR
         self.alignment_window = Window(self.operation_us - 30 * synthetic.MINUTE, self.operation_us)
 

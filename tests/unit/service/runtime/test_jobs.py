@@ -1,23 +1,21 @@
 """Jobs: every one ends and says how; alignment, calibration and upkeep from what the archive stores."""
 
-import threading
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
 from unittest.mock import patch
 
 import numpy as np
 import pytest
 from synthetic_payload import HOUR, START_US, SyntheticPayload
 
-import service.runtime.jobs.calibration_job as calibrating
+import service.runtime.jobs.calibration as calibrating
 from service.api.schemas.calibrations import AlignmentAnswer
 from service.errors import BusyError, ConflictError, InvalidInputError, NotFoundError, StorageError
 from service.records.calibration import CalibrationMethod, CalibrationState, Window
 from service.records.catalogue import Method, Onboard
 from service.records.inputs import PolarizationRecord, TelemetryRecord
-from service.records.levels.attitude import Axes, row_without_attitude
-from service.records.operations.work import JobState
+from service.records.levels.attitude import Axes
+from service.records.operations.work import Job, JobState
 from service.records.storage import (
     SERIES,
     RetentionConfig,
@@ -27,8 +25,7 @@ from service.records.storage import (
     SealingConfig,
 )
 from service.runtime.jobs.alignment_service import AlignmentRequest
-from service.runtime.jobs.archive_maintenance import ArchiveMaintenance, newest_advice, runnable_methods
-from service.runtime.jobs.job_runner import JobAbortedError, JobRunner
+from service.runtime.jobs.archive_maintenance import MaintenanceDue, MaintenanceWork, runnable_methods
 
 TRACKER = ("star_tracker",) * 3
 SIGMA = Axes(0.02, 0.01, 0.01)
@@ -126,18 +123,6 @@ def test_without_an_active_calibration(ground):
 PAYLOAD = SyntheticPayload.make(6)
 
 
-def storage_with(**results: Any) -> Any:
-    """Return a storage whose results answer as stated."""
-    return SimpleNamespace(results=SimpleNamespace(**{name: lambda *_, v=value: v for name, value in results.items()}))
-
-
-@pytest.mark.parametrize("advice", [None, (), ("realign", "state_torque")])
-def test_the_newest_row_of_the_filter_advises(advice: tuple[str, ...] | None) -> None:
-    row = row_without_attitude(START_US, START_US, 1, Method.ROBUST, ())
-    newest = None if advice is None else replace(row, advice=advice)
-    assert newest_advice(storage_with(newest_attitude=newest), "sc") == (advice or ())
-
-
 @pytest.mark.parametrize(
     ("named", "methods"),
     [
@@ -151,7 +136,7 @@ def test_the_newest_row_of_the_filter_advises(advice: tuple[str, ...] | None) ->
 def test_methods_that_the_alignment_started_run(named: dict[str, int] | None, methods: set[Method]) -> None:
     alignment = PAYLOAD.alignment(START_US + HOUR)
     stored = () if named is None else (replace(alignment, calibration_by_method=named),)
-    assert set(runnable_methods(storage_with(alignments=stored), "sc")) == methods
+    assert set(runnable_methods(stored)) == methods
 
 
 DAY_US = 86_400_000_000
@@ -165,14 +150,12 @@ class Archive:
 
     def __init__(self):
         self.asked, self.faults, self.fitting, self.results = [], {}, None, Results()
-        self.sealed = threading.Event()
 
     def seal(self, name, before_us, received_before_us):
         self.asked.append(("seal", name, before_us, received_before_us))
         if name in self.faults:
             raise self.faults.pop(name)
         yield PART
-        self.sealed.set()
 
     def drop_before(self, name, series, before_us):
         self.asked.append(("drop", series, before_us))
@@ -225,12 +208,12 @@ def maintainer(archive, retention=None, clock=None, names=("a",)):
     catalogue = SimpleNamespace(all_spacecraft=lambda: [SimpleNamespace(id=name) for name in names])
     archive.results.drop_replays = archive.drop_replays
     storage = SimpleNamespace(catalogue=catalogue, archive=archive, results=archive.results)
-    return ArchiveMaintenance(storage, clock or Clock(), FAST, retention or RetentionConfig())
+    return MaintenanceWork(storage, clock or Clock(), FAST, retention or RetentionConfig())
 
 
 def test_days_are_sealed_after_the_quiet_time_and_nothing_is_dropped_by_default(archive):
     made = maintainer(archive)
-    made.poll_once()
+    made.do_all()
     quiet_us = 900_000_000
     assert archive.asked == [("seal", "a", NOW_US - quiet_us, NOW_US + 5 - quiet_us)]
     assert archive.results.before_us == [NOW_US - quiet_us]
@@ -240,21 +223,21 @@ def test_days_are_sealed_after_the_quiet_time_and_nothing_is_dropped_by_default(
 
 def test_versions_are_dropped_by_the_age_of_the_replay(archive):
     made = maintainer(archive, RetentionConfig(replays_days=2.0))
-    made.poll_once()
+    made.do_all()
     assert archive.asked[0] == ("replays", "a", NOW_US + 5 - 2 * DAY_US)
     assert made.dropped_rows["replays"] == 7
 
 
 def test_rows_without_pending_results_are_marked(archive):
     made = maintainer(archive)
-    made.poll_once()
+    made.do_all()
     assert made._storage.results.marked == [("a", ())]
 
 
 def test_series_are_dropped_by_age_and_by_size(archive, monkeypatch):
     archive.fitting = NOW_US - 3 * DAY_US
     made = maintainer(archive, RetentionConfig(measurements_days=30.0, attitude_bytes=1000))
-    made.poll_once()
+    made.do_all()
     assert archive.asked[:3] == [
         ("drop", "measurements", NOW_US - 30 * DAY_US),
         ("fit", "attitude", 1000),
@@ -262,46 +245,52 @@ def test_series_are_dropped_by_age_and_by_size(archive, monkeypatch):
     ]
     assert {name: rows for name, rows in made.dropped_rows.items() if rows} == {"measurements": 2, "attitude": 2}
     archive.asked.clear()
-    made.poll_once()
+    made.do_all()
     assert ("fit", "attitude", 1000) not in archive.asked, "sizes are looked at once an hour"
     monkeypatch.setattr("service.runtime.jobs.archive_maintenance.SIZING_S", 0.0)
     archive.fitting = None
-    made.poll_once()
+    made.do_all()
     assert ("fit", "attitude", 1000) in archive.asked
     assert not [asked for asked in archive.asked if asked[:2] == ("drop", "attitude")]
 
 
 @pytest.mark.parametrize("series", SERIES)
 def test_every_series_has_its_age(archive, series):
-    maintainer(archive, RetentionConfig(**{f"{series}_days": 1.5})).poll_once()
+    maintainer(archive, RetentionConfig(**{f"{series}_days": 1.5})).do_all()
     assert archive.asked[0] == ("drop", series, NOW_US - 3 * DAY_US // 2)
 
 
 def test_a_clock_that_knows_no_time_yet_seals_nothing(archive):
-    maintainer(archive, clock=Clock(None)).poll_once()
+    maintainer(archive, clock=Clock(None)).do_all()
     assert archive.asked == []
 
 
 def test_a_fault_of_one_spacecraft_is_logged_and_keeps_no_other_from_its_turn(archive, caplog):
     archive.faults["a"] = StorageError("storage.unavailable", "the disk is full")
     made = maintainer(archive, names=("a", "b"))
-    made.poll_once()
+    assert made.do_all() == 1
     assert [asked[1] for asked in archive.asked] == ["a", "b"]
     assert "the disk is full" in caplog.text
-    made.poll_once()
+    made.do_all()
     assert made.sealed_rows == 30
 
 
-def test_the_thread_looks_again_and_again_until_it_is_stopped(archive):
-    made = maintainer(archive)
-    made.start()
-    assert archive.sealed.wait(120)
-    archive.sealed.clear()
-    assert archive.sealed.wait(120)
-    made.stop()
-    count = len(archive.asked)
-    made.poll_once()
-    assert len(archive.asked) == count
+def test_every_spacecraft_that_is_led_is_looked_at_once_a_period_and_the_archive(archive, monkeypatch):
+    archive.heads = lambda: dict.fromkeys("abc")
+    now_s = [100.0]
+    monkeypatch.setattr("service.runtime.jobs.archive_maintenance.time.monotonic", lambda: now_s[0])
+    due = MaintenanceDue(SimpleNamespace(archive=archive), SealingConfig(period_s=60.0), lambda name: name != "b")
+    assert list(due.due()) == []
+    now_s[0] += 60.0
+    assert list(due.due()) == ["a", "c", ""]
+    assert list(due.due()) == []
+
+
+def test_a_job_is_the_work_of_one_spacecraft_or_of_the_service(archive):
+    work = maintainer(archive, names=("a", "b"))
+    assert len(list(work(Job("sealing-b", "sealing", JobState.RUNNING, 0.0, 0, spacecraft_id="b")))) == 3
+    assert [asked[1] for asked in archive.asked] == ["b"]
+    assert list(work(Job("sealing-service", "sealing", JobState.RUNNING, 0.0, 0, spacecraft_id=""))) == []
 
 
 def test_alarms_and_notes_are_dropped_by_age_of_each_spacecraft_and_of_the_service(archive):
@@ -316,7 +305,7 @@ def test_alarms_and_notes_are_dropped_by_age_of_each_spacecraft_and_of_the_servi
 
     work = maintainer(archive, RetentionConfig(alarms_days=2.0, notes_days=1.0))
     work._storage.alarms, work._storage.notes = log("alarms"), log("notes")
-    work.poll_once()
+    work.do_all()
     of_service = [("alarms", None, NOW_US + 5 - 2 * DAY_US), ("notes", None, NOW_US + 5 - DAY_US)]
     assert asked == [("alarms", "a", NOW_US - 2 * DAY_US), ("notes", "a", NOW_US - DAY_US), *of_service]
     assert (work.dropped_rows["alarms"], work.dropped_rows["notes"]) == (6, 6)
@@ -426,14 +415,7 @@ def test_of_quiet_days_it_is_given_angles_of_each_polarimeter_a_minute_apart(gro
 def test_a_fault_of_the_fit_fails_calibration_and_job(ground):
     with patch.object(calibrating, "calibrate_paper", side_effect=ZeroDivisionError("x")):
         calibration, job = run(ground, ground.payload.request)
-    assert calibration.error == "internal error: ZeroDivisionError('x')"
-    assert "ZeroDivisionError" in job.error
-
-
-def test_a_stop_of_the_service_is_not_called_an_internal_error(ground):
-    with patch.object(calibrating, "calibrate_paper", side_effect=JobAbortedError("the service is stopping")):
-        calibration, job = run(ground, ground.payload.request)
-    assert calibration.error == job.error == "the service is stopping"
+    assert calibration.error == job.error == "internal error, see the log: ZeroDivisionError('x')"
 
 
 def test_a_draft_cannot_be_activated(ground):
@@ -448,97 +430,25 @@ def test_what_cannot_begin_is_refused_at_once(ground):
 
 
 def test_only_so_many_wait_and_leaving_makes_room(ground):
-    may_go = threading.Event()
-
-    def fit(_data):
-        assert may_go.wait(60)
-        raise InvalidInputError("analysis.too_long", "it was ended after 600 s of computing")
-
-    calibrator = calibrating.Calibrator(ground.storage, ground.clock, ground.jobs, fit, 2)
+    calibrator = calibrating.Calibrator(ground.storage, ground.clock, ground.jobs.notify, 2)
     started = [calibrator.start(ground.id, ground.payload.request, "engineer") for _ in range(2)]
     with pytest.raises(BusyError, match=r"analysis\.busy: 2 calibrations wait or run already"):
         calibrator.start(ground.id, ground.payload.request, "engineer")
-    may_go.set()
-    for draft, job in started:
-        assert ground.finish(job.id) is JobState.FAILED
-        stored = ground.storage.results.calibration(ground.id, draft.id)
-        assert (stored.state, stored.error) == (
-            CalibrationState.FAILED,
-            "analysis.too_long: it was ended after 600 s of computing",
-        )
+    too_long = InvalidInputError("analysis.too_long", "it was ended after 600 s of computing")
+    with patch.object(calibrating, "calibrate_paper", side_effect=too_long):
+        for draft, job in started:
+            assert ground.finish(job.id) is JobState.FAILED
+            stored = ground.storage.results.calibration(ground.id, draft.id)
+            assert (stored.state, stored.error) == (
+                CalibrationState.FAILED,
+                "analysis.too_long: it was ended after 600 s of computing",
+            )
     assert calibrator.start(ground.id, ground.payload.request, "engineer")
 
 
-def runner_run(ground, work):
-    job = ground.jobs.add("test")
-    assert ground.storage.results.job(job.id).state is JobState.QUEUED
-    ground.jobs.run(job, work)
-    ground.finish(job.id)
-    return ground.storage.results.job(job.id)
-
-
-def test_a_job_that_works_is_done_and_its_progress_is_kept(ground):
-    seen = []
-
-    def work(report):
-        report(0.4)
-        running = [job for job in ids if ground.storage.results.job(job).state is JobState.RUNNING]
-        seen.extend(ground.storage.results.job(job).progress for job in running)
-
-    job = ground.jobs.add("test")
-    ids = [job.id]
-    ground.jobs.run(job, work)
-    assert ground.finish(job.id) is JobState.DONE
-    ended = ground.storage.results.job(job.id)
-    assert (ended.progress, ended.error, seen) == (1.0, None, [0.4])
-    assert ended.created_at_us == ground.clock.system_us()
-    assert ended.id.startswith("test-")
-
-
-@pytest.mark.parametrize(
-    ("error", "text"),
-    [
-        (JobAbortedError("no turns in the window"), "no turns in the window"),
-        (ConflictError("thing.busy", "wait"), "thing.busy: wait"),
-        (KeyError("c05"), "internal error, see the log: KeyError('c05')"),
-    ],
-)
-def test_a_job_that_fails_says_why(ground, error, text, caplog):
-    def work(_report):
-        raise error
-
-    ended = runner_run(ground, work)
-    assert (ended.state, ended.error) == (JobState.FAILED, text)
-    assert ("Traceback" in caplog.text) == isinstance(error, KeyError)
-
-
-def test_jobs_run_one_after_another(ground):
-    order = []
-    jobs = [ground.jobs.add("test") for _ in range(3)]
-    for k, job in enumerate(jobs):
-        ground.jobs.run(job, lambda _report, k=k: order.append(k))
-    ground.finish(jobs[-1].id)
-    assert order == [0, 1, 2]
-
-
-def test_a_stop_ends_the_running_job_at_its_next_report_and_drops_the_others(ground):
-    started = threading.Event()
-
-    def work(report):
-        started.set()
-        ground.jobs._is_stopping.wait(120)
-        report(0.5)
-
-    running, waiting = ground.jobs.add("test"), ground.jobs.add("test")
-    ground.jobs.run(running, work)
-    ground.jobs.run(waiting, work)
-    started.wait(120)
-    ground.jobs.stop()
-    ended = ground.storage.results.job(running.id)
-    assert (ended.state, ended.error) == (JobState.FAILED, "the service is stopping; start the job again")
-    assert ground.storage.results.job(waiting.id).state is JobState.QUEUED
-    # the next start tells the operator
-    JobRunner(ground.storage.results, ground.clock).start()
-    left = ground.storage.results.job(waiting.id)
-    assert left.state is JobState.FAILED
-    assert "restarted while the job ran; start it again" in left.error
+def test_a_refused_calibration_leaves_no_draft(ground):
+    calibrator = calibrating.Calibrator(ground.storage, ground.clock, ground.jobs.notify, 1)
+    draft, _ = calibrator.start(ground.id, ground.payload.request, "engineer")
+    with pytest.raises(BusyError):
+        calibrator.start(ground.id, ground.payload.request, "engineer")
+    assert ground.storage.results.calibrations(ground.id)[0].id == draft.id

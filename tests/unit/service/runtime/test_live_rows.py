@@ -28,7 +28,6 @@ from service.records.inputs import (
 )
 from service.records.levels.attitude import Axes
 from service.records.levels.measurement import BatchReceipt, Measurement
-from service.runtime.live import step_failures
 from service.runtime.live.journal_consumer import MOTION_KINDS, STANDING_KINDS, DocumentCache, consume, update_before
 from service.runtime.live.live_feed import FreshRows, LiveFeed, RowPublisher
 
@@ -51,17 +50,17 @@ def results_of(station):
 
 def ending(storage, calls, end):
     """Return a storage whose n-th call to save some outcomes ends something first."""
-    save, left = storage.results.save_outcomes, calls
+    save, left = storage.results.submit_outcomes, calls
 
-    def save_outcomes(*arguments):
+    def submit_outcomes(*arguments):
         nonlocal left
-        left -= bool(arguments[2])
+        left -= bool(arguments[1])
         if left == 0:
             left = -1
             end()
         return save(*arguments)
 
-    return with_part(storage, "results", save_outcomes=save_outcomes)
+    return with_part(storage, "results", submit_outcomes=submit_outcomes)
 
 
 def full():
@@ -73,7 +72,7 @@ def test_a_full_disk_between_two_parts_loses_and_doubles_no_row(waiting, calls):
     whole, broken = waiting
     storage = ending(broken.storage, calls, full)
     with (
-        patch.object(step_failures, "_RETRY_S", 0.02),
+        patch.object(supervisor_module, "_RETRY_S", 0.02),
         patch.object(supervisor_module, "_ENTRIES_AT_ONCE", 10),
         broken.supervised(storage) as supervisor,
     ):

@@ -19,9 +19,8 @@ from service.client.backoff import Backoff
 from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.config import AlarmConfig, RobustConfig
 from service.records.operations.alarms import AlarmChange, ChangeKind, Severity
-from service.runtime.alarms.mail import Mail, MailRoute
+from service.runtime.alarms.delivery import Mail, MailRoute, Webhook
 from service.runtime.alarms.notifications import ATTEMPTS, DeliveryError, NoticeChannel, NoticeChannels, notice_of
-from service.runtime.alarms.webhook import Webhook
 
 S = 1_000_000
 CONDITIONS = condition_table(AlarmConfig(), RobustConfig())

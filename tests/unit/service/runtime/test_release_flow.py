@@ -15,6 +15,7 @@ from service.pipeline.config import TorqueConfig
 from service.pipeline.control.release.events import OrderKind
 from service.pipeline.control.release.interlock_conditions import ReleaseSettings
 from service.pipeline.estimation.method import CommandEvidence
+from service.ports.storage import ClockReading
 from service.records.catalogue import Method
 from service.records.levels.attitude import AppliedCommand, Axes, ReleasedCommand, ReportedCommand
 from service.records.operations.release import InterlockHold
@@ -138,6 +139,9 @@ class DataClock:
 
     def is_data(self, spacecraft_id):
         return True
+
+    def reading(self, spacecraft, newest_epoch_us):
+        return ClockReading(is_data=True, now_us=newest_epoch_us)
 
     def system_us(self):
         return 1_900_000_000_000_000

@@ -3,7 +3,6 @@
 import os
 import random
 import signal
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 
@@ -16,9 +15,9 @@ from service.pipeline.checkpoints import fingerprint, pack_state
 from service.pipeline.config import ChainConfig
 from service.records.catalogue import Method
 from service.records.operations.work import JobState, Replay
-from service.runtime.jobs import replay_run
-from service.runtime.jobs.replay_run import ReplayRun, replay_in_process
-from service.runtime.jobs.workers import WorkerConfig, Workers
+from service.runtime.jobs import replay as replay_run
+from service.runtime.jobs.job_runner import JobPieces, JobRunner, JobWorker
+from service.runtime.jobs.replay import ReplayRun, replay_work
 from service.runtime.live.chain_restart import state_of
 
 #: replays of a busy morning, again and again
@@ -38,11 +37,9 @@ def _often(monkeypatch):
     monkeypatch.setattr(replay_run, "_OUTCOMES_AT_ONCE", 7)
 
 
-def stored(station, monkeypatch, **changes):
+def stored(station, **changes):
     """Store a replay that nothing runs yet, and return its version."""
-    with monkeypatch.context() as patch:
-        patch.setattr(station.jobs, "run", lambda *_: None)
-        return station.replayer.start(SC, replace(WANTED, **changes))[0].version
+    return station.replayer.start(SC, replace(WANTED, **changes))[0].version
 
 
 def run(station, version, kill_after=None):
@@ -57,7 +54,7 @@ def run(station, version, kill_after=None):
 
     storage = with_part(station.storage, "results", save_outcomes=save_outcomes)
     try:
-        ReplayRun(storage, ChainConfig(), SC, version).run(lambda _: None)
+        ReplayRun(storage, ChainConfig(), SC, version).run()
     except KilledError:
         assert kill_after is not None
     return len(saves)
@@ -73,7 +70,7 @@ def run(station, version, kill_after=None):
     ],
 )
 def test_a_run_that_is_killed_again_and_again_gives_the_same_rows(busy, monkeypatch, changes):
-    whole, broken = (stored(busy, monkeypatch, **changes) for _ in range(2))
+    whole, broken = (stored(busy, **changes) for _ in range(2))
     pieces = run(busy, whole)
     kills = [max(1, pieces // 4), 1, max(1, pieces // 3)]
     saves = sum(run(busy, broken, kill) for kill in kills) + run(busy, broken)
@@ -85,7 +82,7 @@ def test_a_run_that_is_killed_again_and_again_gives_the_same_rows(busy, monkeypa
 
 @pytest.mark.parametrize("damage", ["cut off", "bit flipped", "of another layout"])
 def test_a_checkpoint_that_does_not_fit_makes_the_run_begin_again(busy, monkeypatch, damage):
-    whole, broken = (stored(busy, monkeypatch) for _ in range(2))
+    whole, broken = (stored(busy) for _ in range(2))
     run(busy, whole)
     run(busy, broken, 5)
     results = busy.storage.results
@@ -103,7 +100,7 @@ def test_a_checkpoint_that_does_not_fit_makes_the_run_begin_again(busy, monkeypa
 
 
 def test_damaged_bytes_of_a_checkpoint_are_never_more_than_a_warning(busy, monkeypatch):
-    broken = stored(busy, monkeypatch)
+    broken = stored(busy)
     run(busy, broken, 5)
     kept = busy.storage.results.replay_checkpoint(SC, broken, fingerprint(ChainConfig()))
     seed = 7
@@ -122,49 +119,66 @@ def test_damaged_bytes_of_a_checkpoint_are_never_more_than_a_warning(busy, monke
 
 
 def test_rows_that_came_after_the_start_are_not_read_after_a_kill_either(busy, monkeypatch):
-    broken = stored(busy, monkeypatch)
+    broken = stored(busy)
     run(busy, broken, 3)
     busy.send([299.0])
     run(busy, broken)
     assert max(row.epoch_us for row in busy.rows(Method.ROBUST, broken)) < at(299)
 
 
-def test_a_worker_process_that_is_killed_is_replaced_and_goes_on(busy, monkeypatch, wait):
-    whole, broken = (stored(busy, monkeypatch) for _ in range(2))
+def works_in_process(url):
+    """Return storage and works of a worker process."""
+    storage = SqlStorage(url)
+    return storage, {"replay": partial(replay_work, storage, ChainConfig())}
+
+
+def test_a_worker_process_that_is_killed_is_replaced_and_goes_on(busy, wait):
+    whole, broken = (stored(busy) for _ in range(2))
     run(busy, whole)
-    results, workers = busy.storage.results, Workers(WorkerConfig(processes=1))
-    opened = partial(SqlStorage, str(busy.storage._database.engines.write.url))
-    replayed = partial(replay_in_process, opened, ChainConfig())
+    busy.storage.results.end_job(busy.storage.results.replay(SC, whole).replay.job_id)
+    results, job_id = busy.storage.results, busy.storage.results.replay(SC, broken).replay.job_id
+    worker = JobWorker(partial(works_in_process, busy.url))
+    jobs = JobRunner(busy.storage, busy.clock, worker.advance)
+    jobs.start()
     try:
-        with ThreadPoolExecutor(1) as threads:
-            ended = threads.submit(workers.complete, replayed, SC, broken)
-            wait(lambda: ended.done() or results.replay(SC, broken).attitude_rows > 0)
-            os.kill(workers._all[0]._process_id, signal.SIGKILL)
-            ended.result(timeout=240)
+        wait(lambda: results.replay(SC, broken).attitude_rows > 0)
+        os.kill(worker._process_id, signal.SIGKILL)
+        wait(lambda: results.job(job_id).state is JobState.DONE)
     finally:
-        workers.stop()
+        worker.stop()
+        jobs.stop()
     assert everything(busy, broken) == everything(busy, whole)
 
 
-def test_the_next_service_goes_on_with_what_is_unfinished_once(busy, monkeypatch):
-    waiting, done = stored(busy, monkeypatch), stored(busy, monkeypatch, stop_us=at(20))
-    gone = stored(busy, monkeypatch)
+def test_the_next_service_goes_on_with_what_is_unfinished_once(busy):
+    waiting, done = stored(busy), stored(busy, stop_us=at(20))
+    gone = stored(busy)
     results = busy.storage.results
-    results.update_job(results.replay(SC, done).replay.job_id, JobState.DONE, 1.0)
+    results.end_job(results.replay(SC, done).replay.job_id)
     job_of_gone = results.replay(SC, gone).replay.job_id
     results.delete_replay(SC, gone)
     assert results.job(job_of_gone).state is JobState.FAILED
-    assert results.fail_unfinished_jobs("the service was restarted") == 0
-    queued = []
-    monkeypatch.setattr(busy.jobs, "resume", lambda job, work: queued.append((job.id, work)))
-    # what this process has queued is not unfinished: a new one finds it
-    busy.replayer.resume()
-    assert queued == []
-    busy.replayer._here.clear()
-    busy.replayer.resume()
-    busy.replayer.resume()
-    assert [job_id for job_id, _ in queued] == [results.replay(SC, waiting).replay.job_id]
-    queued[0][1](lambda _: None)
+    begun = results.replay(SC, waiting).replay.job_id
+    assert results.hold_job(begun, "the one before")
+    advanced = []
+
+    def runner():
+        pieces = JobPieces({"replay": partial(replay_work, busy.storage, ChainConfig())})
+
+        def advance(job, open_ids):
+            advanced.append(job.id)
+            return pieces.advance(job, open_ids)
+
+        return JobRunner(busy.storage, busy.clock, advance)
+
+    first, second = runner(), runner()
+    assert not first.poll_once(), "another process may run it"
+    first.take_over()
+    assert first.poll_once()
+    assert not second.poll_once()
+    while first.poll_once():
+        pass
+    assert set(advanced) == {begun}
     assert len(busy.rows(Method.ROBUST, waiting)) > 50
 
 
@@ -185,6 +199,6 @@ def test_months_without_rows_and_changes_of_the_plan_within_a_span(busy):
 
 
 def test_a_span_without_rows_gives_a_version_without_rows(busy, monkeypatch):
-    version = stored(busy, monkeypatch, start_us=at(200_000), stop_us=at(300_000), order="epoch")
+    version = stored(busy, start_us=at(200_000), stop_us=at(300_000), order="epoch")
     run(busy, version)
     assert everything(busy, version) == (0, 0, [[], []], [], [{}, {}])

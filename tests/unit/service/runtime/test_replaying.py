@@ -21,8 +21,8 @@ from service.records.inputs import JournalEntry, PlanChange, PolarizationRecord,
 from service.records.levels.attitude import AppliedCommand, Axes
 from service.records.operations.work import Replay
 from service.records.storage import worst
-from service.runtime.jobs import replay_run
-from service.runtime.jobs.replay_run import ReplayRun
+from service.runtime.jobs import replay as replay_run
+from service.runtime.jobs.replay import ReplayRun
 from service.runtime.live.journal_consumer import update_before
 
 RATE_ERRORS = {"bias_deg_h": 0.01, "bias_tau_h": 8.0, "noise_deg_sqrt_h": 0.003}
@@ -281,22 +281,14 @@ def test_one_that_was_killed_begins_again_and_gives_the_same_rows(busy, monkeypa
     monkeypatch.setattr(replay_run, "_CHECKPOINT_S", 0.0)
     monkeypatch.setattr(replay_run, "_OUTCOMES_AT_ONCE", 7)
     whole = busy.replay(1, 300, smooth=True)
-    with monkeypatch.context() as patch:
-        patch.setattr(busy.jobs, "run", lambda *_: None)
-        wanted = Replay(0, at(1), at(300), None, None, 0, "journal", "", 0, smooth=True)
-        version = busy.replayer.start(SC, wanted)[0].version
-    reports = []
-
-    def report(progress):
-        reports.append(progress)
-        if len(reports) == 5:
-            raise KilledError
-
-    with pytest.raises(KilledError):
-        ReplayRun(busy.storage, ChainConfig(), SC, version).run(report)
+    wanted = Replay(0, at(1), at(300), None, None, 0, "journal", "", 0, smooth=True)
+    version = busy.replayer.start(SC, wanted)[0].version
+    killed = ReplayRun(busy.storage, ChainConfig(), SC, version).pieces()
+    for _ in range(5):
+        next(killed)
     run = ReplayRun(busy.storage, ChainConfig(), SC, version)
     assert len(run.spans(1)) == 1
-    run.run(lambda _: None)
+    run.run()
     assert text(smoothed(busy, version)) == text(smoothed(busy, whole))
     assert text(busy.rows(Method.ROBUST, version)) == text(busy.rows(Method.ROBUST, whole))
 

@@ -14,7 +14,7 @@ from service.pipeline.checkpoints import fingerprint
 from service.pipeline.config import ChainConfig, RobustConfig
 from service.ports.archive import LIVE
 from service.records.storage import Checkpoint
-from service.runtime.jobs import replay_run
+from service.runtime.jobs import replay as replay_run
 from service.runtime.live import chain_restart, supervisor
 
 MINUTE_US, DAY_US = 60_000_000, 86_400_000_000

@@ -13,10 +13,9 @@ import service.runtime.live.supervisor as supervisor_module
 from service.errors import StorageError
 from service.pipeline.estimation.paper.runner import PaperRunner
 from service.records.operations.alarms import Severity
-from service.runtime.live import step_failures
+from service.runtime.live import supervisor as step_failures
 from service.runtime.live.live_feed import LiveFeed
-from service.runtime.live.step_failures import StepFailures
-from service.runtime.live.supervisor import Supervisor
+from service.runtime.live.supervisor import StepFailures, Supervisor
 
 OTHER = "other-craft"
 

@@ -10,17 +10,19 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
+from alarm_rig import CARRIERS, INERTIA
 from busy_station import BOTH, SC, morning, text, wait_for
 from storage_parts import with_part
 
 import service.runtime.live.supervisor as supervisor_module
+from bench import plain_batch
+from db.storage import SqlStorage
 from service.errors import StorageError
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.paper.runner import PaperRunner
-from service.records.catalogue import Release
+from service.records.catalogue import Release, Site, Spacecraft
 from service.records.inputs import Operation
 from service.records.levels.attitude import AppliedCommand, Status
-from service.runtime.live import step_failures
 from service.runtime.live import supervisor as live
 from service.runtime.live.chain_restart import ChainRestarts
 from service.runtime.live.live_feed import LiveFeed
@@ -139,8 +141,8 @@ def failing(storage, part, method, calls):
 @pytest.mark.parametrize(
     ("part", "method", "calls"),
     [
-        ("results", "save_outcomes", {1}),
-        ("results", "save_outcomes", {2, 3}),
+        ("results", "submit_outcomes", {1}),
+        ("results", "submit_outcomes", {2, 3}),
         ("archive", "journal", {2}),
         ("archive", "measurements_after", {1}),
         ("catalogue", "plan", {1}),
@@ -154,7 +156,7 @@ def test_a_storage_that_fails_delays_rows_and_loses_none(new_ground, caplog, par
         plain.append(range(1, 61))
         plain.settle(supervisor)
     with (
-        patch.object(step_failures, "_RETRY_S", 0.02),
+        patch.object(supervisor_module, "_RETRY_S", 0.02),
         patch.object(supervisor_module, "_ENTRIES_AT_ONCE", 400),
         faulty.supervised(failing(faulty.storage, part, method, calls)) as supervisor,
     ):
@@ -324,22 +326,24 @@ MINUTE_US = 60_000_000
 
 def live_and_die(station, rng):
     """Run a service until it is killed at one of its commits or there is nothing left; return whether it was killed."""
-    save, saves_left, is_stored = station.storage.results.save_outcomes, rng.randint(1, 25), rng.random() < 0.5
+    results, saves_left, is_stored = station.storage.results, rng.randint(1, 25), rng.random() < 0.5
     is_dead = False
 
-    def save_outcomes(*arguments):
-        nonlocal saves_left, is_dead
-        saves_left -= 1
-        stored = save(*arguments) if saves_left > 0 or (saves_left == 0 and is_stored) else None
-        if saves_left <= 0:
-            # from then on it stores nothing
-            is_dead = True
-            raise StorageError("storage.unavailable", "this process is killed")
-        return stored
+    def dying(save):
+        def saved(*arguments):
+            nonlocal saves_left, is_dead
+            saves_left -= 1
+            stored = save(*arguments) if saves_left > 0 or (saves_left == 0 and is_stored) else None
+            if saves_left <= 0:
+                # from then on it stores nothing
+                is_dead = True
+                raise StorageError("storage.unavailable", "this process is killed")
+            return stored
 
-    service = live.Supervisor(
-        with_part(station.storage, "results", save_outcomes=save_outcomes), LiveFeed(), ChainConfig()
-    )
+        return saved
+
+    saves = {name: dying(getattr(results, name)) for name in ("submit_outcomes", "save_outcomes")}
+    service = live.Supervisor(with_part(station.storage, "results", **saves), LiveFeed(), ChainConfig())
     service.start()
     service.notify(SC)
     wait_for(lambda: is_dead or station.is_settled())
@@ -359,7 +363,7 @@ def test_the_rows_are_those_of_a_service_that_was_never_killed(
     monkeypatch.setattr(live, "_STEP_S", 0.0)
     monkeypatch.setattr(live, "_ENTRIES_AT_ONCE", 1)
     monkeypatch.setattr(live, "PERIOD_US", rng.choice([1, 7, 60]) * MINUTE_US)
-    monkeypatch.setattr(step_failures, "_RETRY_S", 60.0)
+    monkeypatch.setattr(live, "_RETRY_S", 60.0)
     kills = 0
     for _ in morning(broken):
         while live_and_die(broken, rng):
@@ -370,3 +374,32 @@ def test_the_rows_are_those_of_a_service_that_was_never_killed(
     assert text(broken.commands()) == text(through.commands())
     sequences = [sequence for sequence, _ in broken.storage.results.results_after(SC, 0, 100_000)]
     assert sequences == np.arange(1, 1 + len(sequences)).tolist()
+
+
+def test_spacecraft_that_wait_have_their_turns_by_blocks(tmp_path, monkeypatch):
+    storage, names = SqlStorage(f"sqlite:///{tmp_path / 'soo.db'}"), ("a", "b", "c")
+    storage.prepare()
+    for name in names:
+        storage.catalogue.add_spacecraft(Spacecraft(name, name, 90.0, Site(55.0, 38.0), INERTIA, 0.05))
+        storage.catalogue.put_plan(name, CARRIERS, "sha")
+        epochs_us = MINUTE_US * np.arange(1, 21)
+        rows = plain_batch(name, int(epochs_us[-1]), epochs_us, np.full((20, len(CARRIERS)), -42.0))
+        assert storage.archive.append_measurements(rows).result(timeout=120).accepted == 20
+    # a block is one entry
+    monkeypatch.setattr(live, "_BLOCK_S", 0.0)
+    turns = []
+
+    def submit_outcomes(name, *arguments):
+        turns.append(name)
+        return storage.results.submit_outcomes(name, *arguments)
+
+    service = live.Supervisor(with_part(storage, "results", submit_outcomes=submit_outcomes), LiveFeed(), ChainConfig())
+    service.start()
+    try:
+        wait_for(lambda: all(each.consumed_number == each.newest_number for each in storage.archive.heads().values()))
+    finally:
+        service.stop()
+        storage.close()
+    rounds = list(zip(*[iter(turns)] * 3, strict=True))
+    assert len(rounds) > 20
+    assert all(set(each) == set(names) for each in rounds)

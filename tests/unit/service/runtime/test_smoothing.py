@@ -6,15 +6,16 @@ from dataclasses import replace
 import pytest
 from busy_station import MINUTE, SC, at, text
 
-from service.errors import StorageError, UnavailableError
+from service.errors import StorageError
 from service.pipeline.config import ChainConfig, RobustConfig
 from service.pipeline.estimation.smoothed import GRID_US, grid_us
 from service.ports.archive import SMOOTHED
 from service.records.calibration import Window
 from service.records.catalogue import Method
-from service.runtime.jobs import lagged_run
-from service.runtime.jobs import lagged_run as lagged_series
-from service.runtime.jobs.lagged_run import LaggedOrder, LaggedPart, LaggedRun, LaggedSeries, SmoothingConfig
+from service.records.operations.work import JobKind, JobState
+from service.runtime.jobs import job_runner, smoothing
+from service.runtime.jobs.job_runner import JobPieces, JobRunner, Standing
+from service.runtime.jobs.smoothing import LaggedOrder, LaggedRun, SmoothingConfig, SmoothingDue, SmoothingWork
 
 LAG_US = 20 * MINUTE
 
@@ -60,7 +61,7 @@ def test_each_five_minutes_have_the_newest_of_their_robust_rows(kept):
 @pytest.mark.parametrize("minutes", [5, 15, 35])
 def test_parts_give_the_rows_of_one_run_to_the_bit(kept, monkeypatch, minutes):
     whole = part_of(kept, begin_us())
-    monkeypatch.setattr(lagged_run, "_PART_US", minutes * MINUTE)
+    monkeypatch.setattr(smoothing, "_PART_US", minutes * MINUTE)
     made_us, rows, runs = begin_us(), [], 0
     while made_us < whole.made_us:
         part = part_of(kept, made_us)
@@ -115,7 +116,7 @@ def test_what_no_state_reaches_is_skipped_and_said(kept):
 
 @pytest.mark.slow
 def test_a_state_of_long_ago_is_no_begin(kept, monkeypatch):
-    monkeypatch.setattr(lagged_run, "_REACH_US", -1)
+    monkeypatch.setattr(smoothing, "_REACH_US", -1)
     part = part_of(kept, begin_us() + 50 * MINUTE)
     assert part.rows == ()
     assert part.is_skipped
@@ -128,40 +129,54 @@ class KilledError(BaseException):
     """The process ends here."""
 
 
-class Maker:
-    """Makes parts in this process, notes what was ordered, and fails when it should."""
-
-    def __init__(self, station):
-        self.station, self.orders, self.error = station, [], None
-
-    def __call__(self, spacecraft_id, order):
-        self.orders.append(order)
-        if self.error is not None:
-            raise self.error
-        return LaggedRun(self.station.storage, ChainConfig(), spacecraft_id, order).run()
-
-
 def smoothed(station):
     return station.rows(Method.ROBUST_SMOOTHED, SMOOTHED)
 
 
-def made(station, *polls, **changes):
-    """Return a series after some polls, and its maker."""
-    maker = Maker(station)
-    series = LaggedSeries(station.storage, LAG, maker, **changes)
-    for _ in polls:
-        series.poll_once()
-    return series, maker
+class Series:
+    """The jobs of smoothed rows of a station, done in this process."""
+
+    def __init__(self, station, turn=lambda _: 1):
+        self.station, self.error, self.pieces = station, None, 0
+        self.due = SmoothingDue(station.storage, LAG, turn)
+        work = SmoothingWork(station.storage, ChainConfig(), LAG)
+        self._pieces = JobPieces({"smoothing": work})
+        standing = [Standing(JobKind.SMOOTHING, self.due.due, self.due.failed)]
+        self.runner = JobRunner(station.storage, station.clock, self.advance, turn, standing)
+
+    def advance(self, job, open_ids):
+        self.pieces += 1
+        if self.error is not None:
+            raise self.error
+        return self._pieces.advance(job, open_ids)
+
+    def make(self):
+        """Make all that is due."""
+        while self.runner.poll_once():
+            pass
+
+
+@pytest.fixture(autouse=True)
+def _at_once(monkeypatch):
+    """What is due is looked for at every poll."""
+    monkeypatch.setattr(job_runner, "POLL_S", 0.0)
+
+
+def made(station, **changes):
+    """Return a series after all that was due."""
+    series = Series(station, **changes)
+    series.make()
+    return series
 
 
 def test_all_that_is_due_is_made_once(busy):
-    series, maker = made(busy, 1, 2)
+    series = made(busy)
     rows = smoothed(busy)
     assert len(rows) > 15
     assert grid_us(at(139) - 20 * MINUTE) - GRID_US < rows[-1].epoch_us <= at(139) - 20 * MINUTE
-    asked = len(maker.orders)
-    series.poll_once()
-    assert len(maker.orders) == asked
+    pieces = series.pieces
+    series.make()
+    assert series.pieces == pieces
     assert text(smoothed(busy)) == text(rows)
 
 
@@ -175,7 +190,7 @@ def test_live_rows_torques_and_sequences_stay_as_they_are(busy):
         return kept, text(busy.commands()), text(results.results_after(SC, 0, 10_000)), results.pending(SC, methods)
 
     before, head = live(), busy.storage.archive.head(SC)
-    made(busy, 1, 2)
+    made(busy)
     assert smoothed(busy)
     assert live() == before
     assert busy.storage.archive.head(SC) == head
@@ -183,89 +198,96 @@ def test_live_rows_torques_and_sequences_stay_as_they_are(busy):
 
 def test_a_process_that_was_killed_leaves_whole_parts_and_the_next_one_goes_on(new_station, lived_archive, monkeypatch):
     whole, killed = new_station(lived_archive), new_station(lived_archive)
-    made(whole, 1, 2)
-    monkeypatch.setattr("service.runtime.jobs.lagged_run._PART_US", 25 * MINUTE)
-    series, maker = made(killed, 1, 2)
-    stored = smoothed(killed)
-    maker.error = KilledError()
-    with pytest.raises(KilledError):
-        series.poll_once()
-    assert text(smoothed(killed)) == text(stored)
-    made(killed, 1, 2, 3, 4, 5, 6)
+    made(whole)
+    monkeypatch.setattr(smoothing, "_PART_US", 25 * MINUTE)
+    monkeypatch.setattr(job_runner, "PIECE_S", 0.0)
+    save, saves = killed.storage.results.save_outcomes, []
+
+    def save_outcomes(*arguments):
+        if len(saves) == 2:
+            raise KilledError
+        saves.append(arguments)
+        return save(*arguments)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(killed.storage.results, "save_outcomes", save_outcomes)
+        with pytest.raises(KilledError):
+            made(killed)
+    assert 0 < len(smoothed(killed)) < len(smoothed(whole))
+    next_one = Series(killed)
+    next_one.runner.take_over()
+    next_one.make()
     assert text(smoothed(killed)) == text(smoothed(whole))
 
 
 def test_only_the_process_that_leads_makes_rows(busy):
-    _, maker = made(busy, 1, turn=lambda _: 0)
-    assert maker.orders == []
+    assert made(busy, turn=lambda _: 0).pieces == 0
     terms = [1]
-    series, maker = made(busy, 1, 2, turn=lambda _: terms[0])
+    series = made(busy, turn=lambda _: terms[0])
     rows = smoothed(busy)
     # of a new term the archive tells how far the rows reach
     terms[0] = 2
-    series.poll_once()
+    series.make()
     assert text(smoothed(busy)) == text(rows)
 
 
-@pytest.mark.parametrize(
-    ("error", "is_fault"),
-    [(StorageError("storage.full", "no space"), True), (UnavailableError("analysis.ended", "it died"), False)],
-)
-def test_a_run_that_failed_is_made_again(busy, caplog, error, is_fault):
-    series, maker = made(busy)
-    maker.error = error
-    with caplog.at_level(logging.INFO, "soo.lagged"):
-        series.poll_once()
+def test_a_run_that_failed_says_why_and_is_made_again(busy):
+    series = Series(busy)
+    series.error = StorageError("storage.full", "no space")
+    assert series.runner.poll_once()
+    job = busy.storage.results.job(f"smoothing-{SC}")
+    assert (job.state, job.error) == (JobState.FAILED, "storage.full: no space")
     assert smoothed(busy) == []
-    assert any(record.levelno >= logging.ERROR for record in caplog.records) == is_fault
-    maker.error = None
-    series.poll_once()
-    series.poll_once()
+    series.error = None
+    series.make()
+    job = busy.storage.results.job(f"smoothing-{SC}")
+    assert (job.state, job.error) == (JobState.DONE, None)
     assert len(smoothed(busy)) > 15
 
 
 def test_a_disk_that_is_full_keeps_nothing_of_a_part(busy, monkeypatch):
-    series, _ = made(busy)
+    series = Series(busy)
 
     def refuse(*_args):
         raise StorageError("storage.full", "no space")
 
     with monkeypatch.context() as patch:
         patch.setattr(busy.storage.results, "save_outcomes", refuse)
-        series.poll_once()
-        series.poll_once()
+        assert series.runner.poll_once()
+        assert series.runner.poll_once()
     assert smoothed(busy) == []
-    series.poll_once()
-    series.poll_once()
+    series.make()
     assert len(smoothed(busy)) > 15
 
 
-def test_before_the_first_alignment_nothing_is_made_and_nobody_asks_twice(new_station, opened_archive):
+def test_before_the_first_alignment_nothing_is_made(new_station, opened_archive):
     station = new_station(opened_archive)
     with station.supervised() as settle:
         station.send(range(1, 60))
         settle()
-    _, maker = made(station, 1, 2, 3)
+    assert made(station).pieces == 1, "nobody asks twice"
     assert smoothed(station) == []
-    assert maker.orders == []
 
 
 def test_rows_that_lie_weeks_back_are_left_out_and_said(busy, caplog, monkeypatch):
-    monkeypatch.setattr(lagged_series, "_MOST_BEHIND_US", 60 * MINUTE)
-    first = LaggedPart((), at(5) // GRID_US * GRID_US, is_skipped=False)
-    maker = Maker(busy)
-    series = LaggedSeries(busy.storage, LAG, maker)
-    series._made[SC] = 1, first.made_us
+    made(busy)
+    for _ in busy.storage.archive.drop_before(SC, "attitude", at(0) - 86_400_000_000):
+        pass
+    monkeypatch.setattr(smoothing, "_MOST_BEHIND_US", 60 * MINUTE)
+    with busy.supervised() as settle:
+        busy.send(range(260, 300), source="sa-2")
+        settle()
+    before = len(smoothed(busy))
     with caplog.at_level(logging.INFO, "soo.lagged"):
-        series.poll_once()
+        made(busy)
     assert "they lie too far back" in caplog.text
-    rows = smoothed(busy)
+    rows = smoothed(busy)[before:]
     assert rows
-    assert rows[0].epoch_us > at(139) - 20 * MINUTE - 60 * MINUTE - 2 * GRID_US
+    assert rows[0].epoch_us > at(299) - 20 * MINUTE - 60 * MINUTE - 2 * GRID_US
 
 
 def test_retention_and_sealing_take_the_series_along(busy):
-    made(busy, 1, 2)
+    made(busy)
     rows = smoothed(busy)
     day_us = 86_400_000_000
     sealed = list(busy.storage.results.seal(SC, at(0) + 3 * day_us))
@@ -277,20 +299,6 @@ def test_retention_and_sealing_take_the_series_along(busy):
     assert busy.storage.results.attitude_rows(SC, SMOOTHED, Method.ROBUST_SMOOTHED, window, 10, None) == []
 
 
-def test_a_spacecraft_that_comes_again_under_its_name_begins_again(busy, monkeypatch):
-    series, _ = made(busy)
-    # of the one before, whose data reached further
-    series._made[SC] = 1, at(10_000)
-    series.poll_once()
-    assert smoothed(busy) == []
-    with monkeypatch.context() as patch:
-        patch.setattr(busy.storage.archive, "heads", dict)
-        series.poll_once()
-    series.poll_once()
-    series.poll_once()
-    assert len(smoothed(busy)) > 15
-
-
 @pytest.mark.parametrize("lag_s", [-1.0, 299.0, 43_201.0, float("nan")])
 def test_a_lag_that_makes_no_sense_is_refused(lag_s):
     with pytest.raises(ValueError, match="lag_s is 0, or from 300 to 43200 s"):
@@ -298,18 +306,4 @@ def test_a_lag_that_makes_no_sense_is_refused(lag_s):
 
 
 def test_without_a_lag_there_is_no_series(busy):
-    series = LaggedSeries(busy.storage, SmoothingConfig(lag_s=0.0), Maker(busy))
-    series.start()
-    series.stop()
-    assert smoothed(busy) == []
-
-
-def test_the_thread_makes_rows_and_rests_after_its_work(busy, monkeypatch, wait):
-    monkeypatch.setattr(lagged_series, "POLL_S", 0.01)
-    monkeypatch.setattr(lagged_series, "_REST", 0.01)
-    series = LaggedSeries(busy.storage, LAG, Maker(busy))
-    series.start()
-    try:
-        wait(lambda: len(smoothed(busy)) > 15)
-    finally:
-        series.stop()
+    assert list(SmoothingDue(busy.storage, SmoothingConfig(lag_s=0.0)).due()) == []

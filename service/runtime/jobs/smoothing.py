@@ -1,13 +1,10 @@
-"""Smoothed rows: made with a lag behind the journal, in a process of their own."""
+"""Smoothed rows: made with a lag behind the journal by jobs."""
 
 import logging
-import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from service.errors import UnavailableError
 from service.pipeline.chain import Chain
 from service.pipeline.checkpoints import fingerprint
 from service.pipeline.config import ChainConfig
@@ -17,11 +14,12 @@ from service.ports.storage import Storage, Term
 from service.records.catalogue import Method
 from service.records.epoch import US_PER_S, format_epoch
 from service.records.levels.attitude import AttitudeRow
-from service.records.levels.measurement import HeadState, Measurement
+from service.records.levels.measurement import Measurement
+from service.records.operations.work import Job
 from service.records.setting import CHOSEN, setting
 from service.runtime.live.chain_restart import restored_checkpoint
 from service.runtime.live.journal_consumer import DocumentCache, consume, update_before
-from service.runtime.live.leadership import always, is_moving
+from service.runtime.live.leadership import always
 
 _ENTRIES_AT_ONCE = 512
 #: instants that one run passes, us: at a row a second their rows take three minutes
@@ -76,18 +74,25 @@ class LaggedRun:
 
     def run(self) -> LaggedPart:
         """Make the rows of the next instants, of six hours at most."""
+        (part,) = (each for each in self.steps() if each is not None)
+        return part
+
+    def steps(self) -> Iterator[LaggedPart | None]:
+        """Make the rows as `run` does, and yield them at the end; None with each row of the journal before."""
         after_us = self._order.after_us
         position = self._begun()
         if position is None:
             first_us = self._first_us()
             made_us = after_us if first_us is None else grid_us(first_us + GRID_US - 1)
-            return LaggedPart((), made_us, made_us > after_us)
+            yield LaggedPart((), made_us, made_us > after_us)
+            return
         rows: list[AttitudeRow] = []
         for made in self._made(position):
             rows += made
+            yield None
             if self._lagged.made_us >= after_us + _PART_US:
                 break
-        return LaggedPart(tuple(rows), self._lagged.made_us, is_skipped=False)
+        yield LaggedPart(tuple(rows), self._lagged.made_us, is_skipped=False)
 
     def _made(self, position: int) -> Iterator[list[AttitudeRow]]:
         """Yield the smoothed rows that are due with each row of the journal behind a number."""
@@ -134,22 +139,7 @@ class LaggedRun:
         return [each for each in found if each[0] <= self._order.until_number]
 
 
-def lagged_in_process(
-    open_storage: Callable[[], Storage], config: ChainConfig, spacecraft_id: str, order: LaggedOrder
-) -> LaggedPart:
-    """Make a part in a process that has no storage yet."""
-    storage = open_storage()
-    try:
-        return LaggedRun(storage, config, spacecraft_id, order).run()
-    finally:
-        storage.close()
-
-
 _LOG = logging.getLogger("soo.lagged")
-#: between two polls, s
-POLL_S = 2.0
-#: rest after a run, as a multiple of its duration: a tenth of a core at most
-_REST = 9.0
 #: instants that lie further back than this are not made: of data, us
 _MOST_BEHIND_US = 7 * 86_400 * US_PER_S
 _LONGEST_LAG_S = 43_200.0
@@ -169,108 +159,97 @@ class SmoothingConfig:
             raise ValueError("lag_s is 0, or from 300 to 43200 s")
 
 
-class LaggedSeries:
-    """Makes smoothed rows of every spacecraft that this process leads.
+class SmoothingDue:
+    """Knows of which spacecraft smoothed rows are due.
 
     Parameters
     ----------
     storage : Storage
         The archive.
     config : SmoothingConfig
-        The lag.
-    work : callable
-        Makes a part of the rows of a spacecraft, as `LaggedRun` does, in another process.
+        The lag; 0 = nothing is ever due.
     turn : Term, optional
         Tells which spacecraft this process leads.
     """
 
-    def __init__(
-        self,
-        storage: Storage,
-        config: SmoothingConfig,
-        work: Callable[[str, LaggedOrder], LaggedPart],
-        turn: Term = always,
-    ) -> None:
-        self._storage, self._work, self._turn = storage, work, turn
-        self._lag_us = round(config.lag_s * US_PER_S)
-        #: term of leading, and instant of the grid up to which rows are made
-        self._made: dict[str, tuple[int, int]] = {}
-        self._stopping = threading.Event()
-        self._thread: threading.Thread | None = None
+    def __init__(self, storage: Storage, config: SmoothingConfig, turn: Term = always) -> None:
+        self._storage, self._turn, self._lag_us = storage, turn, round(config.lag_s * US_PER_S)
+        #: term of leading, and instant of the grid up to which rows were ordered
+        self._ordered: dict[str, tuple[int, int]] = {}
 
-    def start(self) -> None:
-        """Start the thread, which runs until stopped; without a lag there is none."""
-        if self._lag_us:
-            self._thread = threading.Thread(target=self._run, name="soo-lagged", daemon=True)
-            self._thread.start()
-
-    def stop(self) -> None:
-        """End the thread; called after the end of the worker process, whose part is then lost."""
-        self._stopping.set()
-        if self._thread is not None:
-            self._thread.join()
-
-    def poll_once(self) -> None:
-        """Make the next part of what is due of each spacecraft; one that fails keeps no other one from it."""
-        heads = self._storage.archive.heads()
-        # one that was deleted may come again under its name
-        self._made = {spacecraft_id: made for spacecraft_id, made in self._made.items() if spacecraft_id in heads}
-        for spacecraft_id, head in heads.items():
+    def due(self) -> Iterator[str]:
+        """Yield the spacecraft of which rows have come due since they were yielded last."""
+        if not self._lag_us:
+            return
+        for spacecraft_id, head in self._storage.archive.heads().items():
             turn = self._turn(spacecraft_id)
-            if self._stopping.is_set() or not turn:
-                continue
-            try:
-                self._extend(spacecraft_id, turn, head)
-            except Exception as error:  # noqa: BLE001 what is due stays due
-                if self._stopping.is_set() or is_moving(error) or isinstance(error, UnavailableError):
-                    _LOG.info("smoothed rows of %s wait: %s", spacecraft_id, error)
-                else:
-                    _LOG.exception("smoothed rows of %s were not made; they are retried", spacecraft_id)
+            if turn and head.consumed_epoch_us is not None:
+                due = turn, grid_us(head.consumed_epoch_us - self._lag_us)
+                if due != self._ordered.get(spacecraft_id):
+                    self._ordered[spacecraft_id] = due
+                    yield spacecraft_id
 
-    def _run(self) -> None:
-        wait_s = POLL_S
-        while not self._stopping.wait(wait_s):
-            began_s = time.monotonic()
-            try:
-                self.poll_once()
-            except Exception:  # noqa: BLE001 the thread outlives every error
-                _LOG.exception("smoothed rows were not made; they are retried")
-            wait_s = max(POLL_S, _REST * (time.monotonic() - began_s))
+    def failed(self, spacecraft_id: str) -> None:
+        """Order again what was not made."""
+        self._ordered.pop(spacecraft_id, None)
 
-    def _extend(self, spacecraft_id: str, turn: int, head: HeadState) -> None:
-        """Make and store the next part of the rows of a spacecraft, where one is due."""
-        if head.consumed_epoch_us is None:
+
+class SmoothingWork:
+    """Work of the jobs that make the smoothed rows which are due.
+
+    Parameters
+    ----------
+    storage : Storage
+        The archive.
+    chain_config : ChainConfig
+        Configuration of the chain.
+    config : SmoothingConfig
+        The lag.
+    """
+
+    def __init__(self, storage: Storage, chain_config: ChainConfig, config: SmoothingConfig) -> None:
+        self._storage, self._chain_config, self._lag_us = storage, chain_config, round(config.lag_s * US_PER_S)
+        #: instant of the grid up to which rows are made, where there are none at it
+        self._made_us: dict[str, int] = {}
+
+    def __call__(self, job: Job) -> Iterator[float]:
+        """Make and store rows part by part until none are due."""
+        spacecraft_id = job.spacecraft_id or ""
+        head = self._storage.archive.head(spacecraft_id)
+        if head.consumed_epoch_us is None or not self._is_robust(spacecraft_id):
             return
         due_us = grid_us(head.consumed_epoch_us - self._lag_us)
-        after_us = self._after_us(spacecraft_id, turn, due_us)
-        if after_us >= due_us:
-            return
-        made_us = self._store_part(spacecraft_id, after_us, head) if self._is_robust(spacecraft_id) else after_us
-        # without a state to begin with, as before the first alignment, there is nothing to wait for
-        self._made[spacecraft_id] = turn, made_us if made_us > after_us else due_us
+        first_us = after_us = self._after_us(spacecraft_id, due_us)
+        while after_us < due_us:
+            order = LaggedOrder(after_us, head.consumed_number, self._lag_us)
+            progress = (after_us - first_us) / (due_us - first_us)
+            for part in LaggedRun(self._storage, self._chain_config, spacecraft_id, order).steps():
+                if part is not None:
+                    self._store(spacecraft_id, after_us, part)
+                    # without a state to begin with, as before the first alignment, there is nothing to wait for
+                    after_us = part.made_us if part.made_us > after_us else due_us
+                yield progress
+            self._made_us[spacecraft_id] = after_us
 
-    def _store_part(self, spacecraft_id: str, after_us: int, head: HeadState) -> int:
-        """Make and store rows behind an instant, and return the instant up to which they are made."""
-        part = self._work(spacecraft_id, LaggedOrder(after_us, head.consumed_number, self._lag_us))
+    def _store(self, spacecraft_id: str, after_us: int, part: LaggedPart) -> None:
+        """Store the rows behind an instant, or say why there are none."""
         if part.is_skipped:
             _report_gap(spacecraft_id, after_us, part.made_us, "no state of the chain is kept that is old enough")
         if part.rows:
             outcomes = [Outcome((row,), None) for row in part.rows]
             self._storage.results.save_outcomes(spacecraft_id, SMOOTHED, outcomes, 0, None)
-        return part.made_us
 
     def _is_robust(self, spacecraft_id: str) -> bool:
         """Return whether the robust method was ever aligned; without it there is nothing to smooth."""
         alignments = self._storage.results.alignments(spacecraft_id)
         return any(Method.ROBUST.value in each.calibration_by_method for each in alignments)
 
-    def _after_us(self, spacecraft_id: str, turn: int, due_us: int) -> int:
+    def _after_us(self, spacecraft_id: str, due_us: int) -> int:
         """Return the instant up to which nothing is to be made."""
-        of_turn, made_us = self._made.get(spacecraft_id, (0, 0))
+        newest = self._storage.results.newest_attitude(spacecraft_id, SMOOTHED, Method.ROBUST_SMOOTHED)
         first_us = due_us - _MOST_BEHIND_US
-        if of_turn != turn:
-            newest = self._storage.results.newest_attitude(spacecraft_id, SMOOTHED, Method.ROBUST_SMOOTHED)
-            made_us = first_us if newest is None else grid_us(newest.epoch_us + GRID_US - 1)
+        stored_us = first_us if newest is None else grid_us(newest.epoch_us + GRID_US - 1)
+        made_us = max(stored_us, self._made_us.get(spacecraft_id, stored_us))
         if made_us < first_us:
             _report_gap(spacecraft_id, made_us, first_us, "they lie too far back")
         return max(made_us, first_us)

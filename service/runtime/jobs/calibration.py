@@ -1,10 +1,9 @@
-"""Calibration jobs: read the windows from the archive, run the fit, store the draft's result."""
+"""Calibrations: jobs that read the windows from the archive, run the fit and store the draft's result."""
 
-from collections.abc import Callable
-from threading import Lock
+from collections.abc import Callable, Iterator
 
 from service.core.estimation.calibration.checks.turns import LONGEST_LAG_S
-from service.errors import BusyError, ConflictError, SooError
+from service.errors import ConflictError
 from service.pipeline.calibration.geometry_calibration import calibrate_geometry
 from service.pipeline.calibration.geometry_rows import CalibrationError, CalibrationInput
 from service.pipeline.calibration.minute_rows import mean_edges_us, minute_rows
@@ -22,8 +21,8 @@ from service.records.calibration import (
 from service.records.epoch import US_PER_S
 from service.records.inputs import Correction, Operation, PolarizationRecord, SlowInput, TelemetryRecord
 from service.records.levels.measurement import Measurement
-from service.records.operations.work import Job
-from service.runtime.jobs.job_runner import JobAbortedError, JobRunner, Progress
+from service.records.operations.work import Job, JobKind
+from service.runtime.jobs.job_runner import JobAbortedError, new_job
 
 #: operations and corrections that a calibration looks at, at most of each
 _MAX_INPUTS = 1000
@@ -44,31 +43,14 @@ class Calibrator:
         The archive.
     clock : Clock
         For times of creation.
-    jobs : JobRunner
-        Runs one calibration after another.
-    fit : callable
-        Computes one, as `fitted` does.
-    max_waiting : int
+    notify : callable
+        Tells that there is a job.
+    most : int
         Calibrations that wait or run at once.
     """
 
-    def __init__(
-        self,
-        storage: Storage,
-        clock: Clock,
-        jobs: JobRunner,
-        fit: Callable[[CalibrationInput], CalibrationResult],
-        max_waiting: int,
-    ) -> None:
-        self._storage = storage
-        self._clock = clock
-        self._jobs = jobs
-        self._fitted = fit
-        self._max_waiting = max_waiting
-        self._lock = Lock()
-        self._waiting = 0
-        #: of spacecraft and calibration
-        self._job_ids: dict[tuple[str, int], str] = {}
+    def __init__(self, storage: Storage, clock: Clock, notify: Callable[[], None], most: int) -> None:
+        self._storage, self._clock, self._notify, self._most = storage, clock, notify, most
 
     def start(self, spacecraft_id: str, request: CalibrationRequest, created_by: str) -> tuple[Calibration, Job]:
         """Store a draft and queue its fit.
@@ -82,27 +64,16 @@ class Calibrator:
         """
         plan = self._storage.catalogue.plan(spacecraft_id)
         ephemeris = self._storage.catalogue.ephemeris(spacecraft_id)
-        with self._lock:
-            if self._waiting >= self._max_waiting:
-                raise BusyError("analysis.busy", f"{self._waiting} calibrations wait or run already")
-            self._waiting += 1
-        try:
-            draft = self._storage.results.add_calibration(
-                spacecraft_id, request, plan.id, ephemeris.id, self._clock.system_us(), created_by
-            )
-            job = self._jobs.add("calibration")
-            with self._lock:
-                self._job_ids[spacecraft_id, draft.id] = job.id
-            self._jobs.run(job, lambda report: self._run(spacecraft_id, draft, report))
-        except BaseException:
-            self._leave()
-            raise
+        job = new_job(JobKind.CALIBRATION, spacecraft_id, self._clock)
+        draft = self._storage.results.add_calibration(
+            *(spacecraft_id, request, plan.id, ephemeris.id, job.created_at_us, created_by), job, self._most
+        )
+        self._notify()
         return draft, job
 
     def job_id(self, spacecraft_id: str, calibration_id: int) -> str | None:
-        """Return the job that makes a calibration; None where it has ended, or another process runs it."""
-        with self._lock:
-            return self._job_ids.get((spacecraft_id, calibration_id))
+        """Return the job that makes a calibration; None where it has ended."""
+        return self._storage.results.unfinished_job_of(spacecraft_id, JobKind.CALIBRATION, str(calibration_id))
 
     def activate(self, spacecraft_id: str, calibration_id: int, override_reason: str | None = None) -> Calibration:
         """Make a finished calibration the active one of its method.
@@ -125,33 +96,35 @@ class Calibrator:
             raise ConflictError("calibration.turns_inconsistent", calibration.contradiction)
         return self._storage.results.activate_calibration(spacecraft_id, calibration_id, override_reason)
 
-    def _run(self, spacecraft_id: str, draft: Calibration, report: Progress) -> None:
-        """Run the fit of one draft and give up its place."""
-        try:
-            self._fit(spacecraft_id, draft, report)
-        finally:
-            self._leave()
-            with self._lock:
-                del self._job_ids[spacecraft_id, draft.id]
 
-    def _fit(self, spacecraft_id: str, draft: Calibration, report: Progress) -> None:
-        """Run the fit of one draft."""
-        results = self._storage.results
+class CalibrationWork:
+    """Work of the jobs of calibrations.
+
+    Parameters
+    ----------
+    storage : Storage
+        The archive.
+    config : CalibrationConfig
+        Configuration of the fits.
+    """
+
+    def __init__(self, storage: Storage, config: CalibrationConfig) -> None:
+        self._storage, self._config = storage, config
+
+    def __call__(self, job: Job) -> Iterator[float]:
+        """Fit a draft, in pieces: reading is one, the fit another."""
+        spacecraft_id, results = job.spacecraft_id or "", self._storage.results
+        draft = results.calibration(spacecraft_id, int(job.subject or 0))
+        if draft.state is not CalibrationState.DRAFT or draft.result is not None:
+            # it was stored right before a process ended
+            return
         try:
             data = self._read(spacecraft_id, draft)
-            report(0.3)
-            result = self._fitted(data)
-        except (CalibrationError, JobAbortedError, SooError) as error:
-            results.finish_calibration(spacecraft_id, draft.id, None, str(error))
+            yield 0.3
+            result = fitted(self._config, data)
+        except CalibrationError as error:
             raise JobAbortedError(str(error)) from error
-        except Exception as error:
-            results.finish_calibration(spacecraft_id, draft.id, None, f"internal error: {error!r}")
-            raise
         results.finish_calibration(spacecraft_id, draft.id, result, None)
-
-    def _leave(self) -> None:
-        with self._lock:
-            self._waiting -= 1
 
     def _read(self, spacecraft_id: str, draft: Calibration) -> CalibrationInput:
         """Read what the archive holds for a draft."""

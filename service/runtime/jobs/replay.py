@@ -1,4 +1,8 @@
-"""Run of one replay: from its start or its last checkpoint to the end of its span, stored piece by piece.
+"""Replays: the same chain over the same journal, written as a new version of the results.
+
+In order of the journal a replay of a live span gives the live rows bit for bit. In order of epoch, or with another
+calibration or alignment, it gives what would have been, with late rows in their place. It runs from its start or its
+last checkpoint to the end of its span.
 
 What a piece computed and the state after it are stored in one transaction, so that a run that was killed goes on from
 there and gives the same rows, bit for bit.
@@ -7,24 +11,23 @@ there and gives the same rows, bit for bit.
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
 from itertools import takewhile
 from typing import NamedTuple
 
+from service.errors import ConflictError, InvalidInputError
 from service.pipeline.chain import METHODS, Chain
 from service.pipeline.checkpoints import ChainState, fingerprint
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.smoothed import SmoothedRows
-from service.pipeline.first_rows import compile_filter
 from service.ports.archive import Outcome
-from service.ports.storage import Storage
-from service.records.calibration import Window
+from service.ports.storage import Clock, Storage
+from service.records.calibration import Alignment, Window
 from service.records.catalogue import Method
 from service.records.inputs import AlignmentSet, JournalEntry
 from service.records.levels.measurement import Measurement
-from service.records.operations.work import JobState, Replay
+from service.records.operations.work import Job, JobKind, Replay
 from service.records.storage import Checkpoint
-from service.runtime.jobs.job_runner import Progress
+from service.runtime.jobs.job_runner import WorkerConfig, new_job
 from service.runtime.live.chain_restart import KNOWN_US, checkpoint_of, restored_checkpoint, state_of
 from service.runtime.live.journal_consumer import (
     DocumentCache,
@@ -67,6 +70,89 @@ class ReplaySpan(NamedTuple):
     until: int
 
 
+class Replayer:
+    """Starts replays.
+
+    Parameters
+    ----------
+    storage : Storage
+        The archive.
+    clock : Clock
+        For times of creation.
+    notify : callable
+        Tells that there is a job.
+    most : int
+        Replays that wait or run at once.
+    """
+
+    def __init__(
+        self, storage: Storage, clock: Clock, notify: Callable[[], None], most: int = WorkerConfig().max_replays
+    ) -> None:
+        self._storage, self._clock, self._notify, self._most = storage, clock, notify, most
+
+    def start(self, spacecraft_id: str, wanted: Replay, holder: str | None = None) -> tuple[Replay, Job]:
+        """Store a replay and queue it; id and job of ``wanted`` are ignored, alignment 0 = the one that held.
+
+        With a holder the job is in the hands of who runs it beside the service.
+
+        Raises
+        ------
+        InvalidInputError
+            ``range.invalid``: nothing between start and stop.
+        ConflictError
+            ``replay.not_aligned``: no alignment to start from.
+        BusyError
+            ``replay.busy``: too many wait or run already.
+        """
+        if wanted.start_us >= wanted.stop_us:
+            raise InvalidInputError("range.invalid", "start must lie before stop")
+        alignment = self._alignment(spacecraft_id, wanted)
+        self._check_calibration(spacecraft_id, wanted.calibration_id)
+        job = new_job(JobKind.REPLAY, spacecraft_id, self._clock)
+        stated = replace(
+            wanted,
+            alignment_id=alignment.id,
+            is_fixed_alignment=wanted.alignment_id != 0,
+            until_number=self._storage.archive.head(spacecraft_id).newest_number,
+            job_id=job.id,
+            created_at_us=job.created_at_us,
+        )
+        replay = self._storage.results.add_replay(spacecraft_id, stated, job, self._most, holder)
+        self._notify()
+        return replay, job
+
+    def _alignment(self, spacecraft_id: str, wanted: Replay) -> Alignment:
+        """Return the alignment to start from: the one asked for, or the newest before the start, or the first."""
+        if wanted.alignment_id:
+            return self._storage.results.alignment(spacecraft_id, wanted.alignment_id)
+        newest_first = self._storage.results.alignments(spacecraft_id)
+        if not newest_first:
+            detail = f"{spacecraft_id} was never aligned, so there is nothing to replay from"
+            raise ConflictError("replay.not_aligned", detail)
+        earlier = [alignment for alignment in newest_first if alignment.epoch_us <= wanted.start_us]
+        held = (
+            one for one in earlier if wanted.order == "epoch" or not self._came_after_rows(spacecraft_id, one, wanted)
+        )
+        return next(held, newest_first[-1])
+
+    def _came_after_rows(self, spacecraft_id: str, alignment: Alignment, wanted: Replay) -> bool:
+        """Return whether rows of the span were stored, and so consumed under a former alignment, before this one.
+
+        What the live run made of them stands; only a replay that starts with the former alignment makes it again.
+        """
+        number = self._storage.results.alignment_number(spacecraft_id, alignment.id)
+        first = next(self._storage.archive.measurements_after(spacecraft_id, wanted.start_us - 1, number), None)
+        return first is not None and first.epoch_us < wanted.stop_us
+
+    def _check_calibration(self, spacecraft_id: str, calibration_id: int | None) -> None:
+        """Refuse a calibration in place of the journal's that has no result."""
+        if (
+            calibration_id is not None
+            and self._storage.results.calibration(spacecraft_id, calibration_id).result is None
+        ):
+            raise ConflictError("calibration.unfinished", f"calibration {calibration_id} has no result")
+
+
 class ReplayRun:
     """Run of a replay that is stored.
 
@@ -101,8 +187,13 @@ class ReplayRun:
         until = self._replay.until_number
         self._newest_number = storage.archive.head(spacecraft_id).newest_number if until is None else until
 
-    def run(self, report: Progress) -> None:
+    def run(self) -> None:
         """Compute and store the rows of the span; ConflictError ``replay.deleted`` if it is deleted meanwhile."""
+        for _ in self.pieces():
+            pass
+
+    def pieces(self) -> Iterator[float]:
+        """Compute the rows of the span as `run` does, and yield how far it is whenever some were stored."""
         # no state holds the rows that a smoother goes back over: a run that was killed begins again
         is_kept = self._smoothed is None
         found = self._storage.results.replay_checkpoint(self._id, self._replay.version, fingerprint(self._config))
@@ -119,7 +210,7 @@ class ReplayRun:
                 self._save(chosen, each.position if is_due else None)
                 chosen = []
                 kept_s = time.monotonic() if is_due else kept_s
-                report(each.progress)
+                yield each.progress
         self._save(chosen, None)
 
     def spans(self, least_entries: int) -> tuple[ReplaySpan, ...]:
@@ -306,22 +397,9 @@ class ReplayRun:
         return not (self._replay.is_fixed_alignment and is_other)
 
 
-def prepare_process(_open_storage: Callable[[], Storage], _config: ChainConfig) -> None:
-    """Load in a process, ahead of the first replay, what it needs: by the arguments all modules, here machine code."""
-    compile_filter()
-
-
-def replay_in_process(
-    open_storage: Callable[[], Storage], config: ChainConfig, spacecraft_id: str, version: str
-) -> None:
-    """Run a replay from where it is to its end in a process that has no storage yet; its job shows how far it is."""
-    storage = open_storage()
-    try:
-        job_id = storage.results.replay(spacecraft_id, version).replay.job_id
-        report = partial(storage.results.update_job, job_id, JobState.RUNNING)
-        ReplayRun(storage, config, spacecraft_id, version).run(report)
-    finally:
-        storage.close()
+def replay_work(storage: Storage, config: ChainConfig, job: Job) -> Iterator[float]:
+    """Run the replay of a job from where it is."""
+    return ReplayRun(storage, config, job.spacecraft_id or "", job.subject or "").pieces()
 
 
 def run_span_in_process(
