@@ -112,7 +112,8 @@ def linear_fix(level_db: FloatArray, slope: FloatArray, reason: IntArray) -> Lin
     share, residual, ordered = np.ones(count), np.empty(count), np.empty(count)
     for _ in range(_REWEIGHTINGS + 1 if count >= MIN_CARRIERS else 0):
         scatter_db = _weighted_fix(level_db, slope, places, share, angles, unit_covariance, residual)
-        ordered[:] = residual
+        for k in range(count):
+            ordered[k] = residual[k]
         middle_db = median_of(ordered, count)
         for k in range(count):
             residual[k] = ordered[k] = abs(residual[k] - middle_db)

@@ -137,7 +137,9 @@ def solve_octants(plus: FloatArray, minus: FloatArray, deviation_db: FloatArray,
     for k in range(len(deviation_db)):
         if is_used[k]:
             count += 1
-            row[:3], row[3:6], row[6] = plus[k], minus[k], deviation_db[k]
+            row[6] = deviation_db[k]
+            for axis in range(3):
+                row[axis], row[3 + axis] = plus[k, axis], minus[k, axis]
             for i in range(6):
                 for j in range(i, 7):
                     normal[i, j] += row[i] * row[j]
@@ -152,7 +154,11 @@ def solve_octants(plus: FloatArray, minus: FloatArray, deviation_db: FloatArray,
     octant, attitude, unit_covariance = _cheapest(normal, length)
     cost = 0.0
     if octant < 0 or count < MIN_CARRIERS:
-        octant, cost, attitude[:], unit_covariance[:] = -1, math.nan, math.nan, math.nan
+        octant, cost = -1, math.nan
+        for i in range(3):
+            attitude[i] = math.nan
+            for j in range(3):
+                unit_covariance[i, j] = math.nan
     for k in range(len(deviation_db)):
         if is_used[k]:
             residual = deviation_db[k]
@@ -169,28 +175,29 @@ def _cheapest(normal: FloatArray, length: FloatArray) -> tuple[int, FloatArray, 
     spare, is_regular, attitude = np.empty((3, 3)), np.zeros(8, dtype=np.bool_), np.zeros(3)
     best_gain, best_octant = -math.inf, -1
     for candidate in range(len(SIGNS)):
-        signs, octant = SIGNS[candidate], 0
+        octant, is_feasible, gain = 0, True, 0.0
         for i in range(3):
-            column = i + 3 if signs[i] < 0.0 else i
-            octant = 2 * octant + (1 if signs[i] < 0.0 else 0)
-            side[i] = 0.0 if signs[i] == 0.0 else normal[column, 6]
+            column = i + 3 if SIGNS[candidate, i] < 0.0 else i
+            octant = 2 * octant + (1 if SIGNS[candidate, i] < 0.0 else 0)
+            side[i] = 0.0 if SIGNS[candidate, i] == 0.0 else normal[column, 6]
             for j in range(3):
-                other = j + 3 if signs[j] < 0.0 else j
-                is_free = signs[i] != 0.0 and signs[j] != 0.0
+                other = j + 3 if SIGNS[candidate, j] < 0.0 else j
+                is_free = SIGNS[candidate, i] != 0.0 and SIGNS[candidate, j] != 0.0
                 # an angle that is zero has the row of the unit matrix
                 matrix[i, j] = normal[column, other] if is_free else (1.0 if i == j else 0.0)
         determinant = _invert(matrix, spare)
-        if candidate < 8:
-            is_regular[candidate], inverse[candidate] = determinant > MIN_DETERMINANT, spare
-        gain = 0.0
         for i in range(3):
             angles[i] = spare[i, 0] * side[0] + spare[i, 1] * side[1] + spare[i, 2] * side[2]
             gain += angles[i] * side[i]
-        is_feasible = angles[0] * signs[0] >= 0.0 and angles[1] * signs[1] >= 0.0 and angles[2] * signs[2] >= 0.0
+            is_feasible = is_feasible and angles[i] * SIGNS[candidate, i] >= 0.0
+            if candidate < 8:
+                is_regular[candidate] = determinant > MIN_DETERMINANT
+                for j in range(3):
+                    inverse[candidate, i, j] = spare[i, j]
         if determinant > MIN_DETERMINANT and is_feasible and gain > best_gain:
             best_gain, best_octant = gain, octant
             for i in range(3):
-                attitude[i] = angles[i] / length[i + 3 if signs[i] < 0.0 else i]
+                attitude[i] = angles[i] / length[i + 3 if SIGNS[candidate, i] < 0.0 else i]
     if best_octant < 0 or not is_regular[best_octant]:
         return -1, attitude, spare
     for i in range(3):
@@ -250,9 +257,9 @@ def reject_faded_carriers(
     (array([5]), array([ 0.1, -0.1,  0.2]))
     """
     carriers = len(deviation_db)
-    reason, is_kept = np.full(carriers, ABSENT), np.zeros(carriers, dtype=np.bool_)
+    reason, is_kept = np.zeros(carriers, dtype=np.int64), np.zeros(carriers, dtype=np.bool_)
     for k in range(carriers):
-        total = deviation_db[k]
+        total, reason[k] = deviation_db[k], ABSENT
         for axis in range(3):
             total += plus[k, axis] + minus[k, axis]
         # a sum is finite where all of its parts are
@@ -328,56 +335,47 @@ def _clip(
     min_carriers: int,
 ) -> tuple[OctantFix, bool]:
     """Leave the carriers that the paper's rule uses, and return their fix and whether it wanted fewer than may be."""
-    is_used, seen = is_kept.copy(), np.empty((_PASSES, len(is_kept)), dtype=np.bool_)
-    fix = solve_octants(plus, minus, deviation_db, is_used)
+    carriers = len(is_kept)
+    is_used, seen = is_kept.copy(), np.empty((_PASSES, carriers), dtype=np.bool_)
+    fix, is_exhausted = solve_octants(plus, minus, deviation_db, is_used), False
     for passes in range(_PASSES):
-        seen[passes] = is_used
         residual = residual_db(plus, minus, deviation_db, fix.attitude_deg)
-        total, count, changed = 0.0, 0, 0
-        for k in range(len(residual)):
-            if is_used[k]:
-                total += residual[k] ** 2
-                count += 1
-        limit_db = max(gate_sigma * math.sqrt(total / max(count, 1)), ROUNDING_DB)
-        count = 0
-        for k in range(len(residual)):
+        total, used, tested, changed = 0.0, 0, 0, 0
+        for k in range(carriers):
+            seen[passes, k] = is_used[k]
+            total += residual[k] ** 2 if is_used[k] else 0.0
+            used += is_used[k]
+        limit_db = max(gate_sigma * math.sqrt(total / max(used, 1)), ROUNDING_DB)
+        for k in range(carriers):
             # negated, so that without a fix (NaN) nothing is rejected
             is_used[k] = is_kept[k] and not abs(residual[k]) >= limit_db
-            count += is_used[k]
+            tested += is_used[k]
             changed += is_used[k] != seen[passes, k]
-        if changed == 0:
+        is_exhausted = changed > 0 and tested < min_carriers
+        place = _place(seen, passes + 1, is_used)
+        if is_exhausted:
+            place = passes
+        if changed > 0 and place <= passes:
+            # a cycle, or the set before
+            for k in range(carriers):
+                is_used[k] = seen[place, k]
+            fix = solve_octants(plus, minus, deviation_db, is_used)
+        if place <= passes:
             break
-        if count < min_carriers:
-            is_kept[:] = seen[passes]
-            return fix, True
-        first = _first_like(seen, passes + 1, is_used)
-        if first <= passes:
-            _take_smallest(seen, first, passes + 1, is_used)
         fix = solve_octants(plus, minus, deviation_db, is_used)
-        if first <= passes:
-            break
-    is_kept[:] = is_used
-    return fix, False
+    for k in range(carriers):
+        is_kept[k] = is_used[k]
+    return fix, is_exhausted
 
 
-def _first_like(sets: BoolArray, count: int, one: BoolArray) -> int:
-    """Return the place of the first set that equals one, the count where there is none."""
+def _place(sets: BoolArray, count: int, one: BoolArray) -> int:
+    """Return the place of the first of the smallest sets from the one that equals another on, the count without one."""
+    smallest, least = count, len(one) + 1
     for position in range(count):
-        differing = 0
+        differing, size = 0, 0
         for k in range(len(one)):
             differing += sets[position, k] != one[k]
-        if differing == 0:
-            return position
-    return count
-
-
-def _take_smallest(sets: BoolArray, first: int, stop: int, smallest: BoolArray) -> None:
-    """Write the first of the smallest sets."""
-    least = len(smallest) + 1
-    for position in range(first, stop):
-        count = 0
-        for k in range(len(smallest)):
-            count += sets[position, k]
-        if count < least:
-            least = count
-            smallest[:] = sets[position]
+            size += sets[position, k]
+        if (differing == 0 or smallest < count) and size < least:
+            smallest, least = position, size
+    return smallest
