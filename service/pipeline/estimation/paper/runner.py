@@ -16,8 +16,19 @@ from service.core.estimation.filtering import filter_model, plant
 from service.core.estimation.filtering import motion as body_motion
 from service.core.estimation.paper import downlink_fade, harmonic, loop_observer, snapshot
 from service.core.estimation.paper import row as paper_row
+from service.core.estimation.paper.downlink_fade import FADE
 from service.core.estimation.paper.loop_observer import TORQUE, initial_estimate, with_other_torque
-from service.core.estimation.paper.row import LEVEL, RESULT, PaperRow, PaperState, empty_means, initial_arrays, take_row
+from service.core.estimation.paper.row import (
+    COUNTERS,
+    LEVEL,
+    PENDING,
+    RESULT,
+    PaperRow,
+    PaperState,
+    empty_means,
+    initial_arrays,
+    take_row,
+)
 from service.core.estimation.paper.snapshot import ABSENT, USED
 from service.core.geometry.line_of_sight import node_phase_at_rad
 from service.pipeline.config import ChainConfig
@@ -121,11 +132,12 @@ def _with_room(state: PaperState) -> PaperState:
     """Return arrays that the next state fits into, their numbers undefined."""
     rows, pending = len(state.window_us) + 1, len(state.pending) + 1
     return PaperState(
-        np.empty_like(state.counters),
-        np.empty_like(state.watches),
+        # types of their own: those of a restored state look alike and are others to the compiler
+        np.empty(1, COUNTERS),
+        np.empty(2, FADE),
         np.empty(rows, dtype=np.int64),
         np.empty((rows, state.window_db.shape[1])),
-        np.empty(pending, state.pending.dtype),
+        np.empty(pending, PENDING),
         np.empty_like(state.mean),
         np.empty_like(state.covariance),
     )

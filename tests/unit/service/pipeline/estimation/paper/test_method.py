@@ -13,6 +13,7 @@ from service.core.estimation.paper.loop_observer import known_motion
 from service.core.estimation.paper.row import LEVEL, RESULT, write_fix
 from service.core.estimation.paper.snapshot import predict_deviation_db
 from service.core.geometry.frames import AntennaDirection
+from service.pipeline.checkpoints import Layout
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.paper.paper_model import (
     ExpectedPower,
@@ -24,7 +25,7 @@ from service.pipeline.estimation.paper.paper_model import (
     references_of,
     sensitivity_model,
 )
-from service.pipeline.estimation.paper.runner import initial_state, step_paper
+from service.pipeline.estimation.paper.runner import SavedPaper, initial_state, step_paper
 from service.pipeline.inputs.knowledge import Knowledge, update
 from service.pipeline.inputs.known_motion import CommandedMotion, commanded_arrays, consume, heard
 from service.records.calibration import CarrierReference, NoiseComponent
@@ -220,6 +221,18 @@ def test_a_state_is_never_changed_and_holds_no_row_of_the_caller(bench):
     bench.step(20)
     for each, then in zip(state.arrays, before, strict=True):
         assert each.tobytes() == then.tobytes()
+
+
+def test_a_state_goes_on_from_its_bytes_bit_for_bit_and_as_fast(bench):
+    bench.run(range(1, 20))
+    layout, state = Layout(SavedPaper), bench.state
+    bench.run(range(20, 25))
+    ahead = bench.state
+    bench.state = layout.unpack(layout.pack(SavedPaper(state, None, None)), SavedPaper).state
+    bench.run(range(20, 25))
+    for each, other in zip(bench.state.arrays, ahead.arrays, strict=True):
+        assert each.tobytes() == other.tobytes()
+        assert each.dtype.isalignedstruct == other.dtype.isalignedstruct
 
 
 def test_the_window_forgets_what_no_mean_reaches(bench):
