@@ -129,15 +129,15 @@ def step_paper(
 
 
 def _with_room(state: PaperState) -> PaperState:
-    """Return arrays that the next state fits into, their numbers undefined."""
+    """Return arrays that the next state fits into."""
     rows, pending = len(state.window_us) + 1, len(state.pending) + 1
     return PaperState(
-        # types of their own: those of a restored state look alike and are others to the compiler
-        np.empty(1, COUNTERS),
-        np.empty(2, FADE),
+        # types of their own: those of a restored state look alike and are others to the compiler; no byte is left over
+        np.zeros(1, COUNTERS),
+        np.zeros(2, FADE),
         np.empty(rows, dtype=np.int64),
         np.empty((rows, state.window_db.shape[1])),
-        np.empty(pending, PENDING),
+        np.zeros(pending, PENDING),
         np.empty_like(state.mean),
         np.empty_like(state.covariance),
     )

@@ -220,7 +220,7 @@ def test_a_state_is_never_changed_and_holds_no_row_of_the_caller(bench):
     state = bench.state
     bench.step(20)
     for each, then in zip(state.arrays, before, strict=True):
-        assert each.tobytes() == then.tobytes()
+        np.testing.assert_array_equal(each, then)
 
 
 def test_a_state_goes_on_from_its_bytes_bit_for_bit_and_as_fast(bench):
