@@ -157,8 +157,7 @@ def test_flags_stand_beside_their_bits() -> None:
 
 def test_reasons_of_exclusions_are_those_of_the_rows() -> None:
     files = (
-        ROOT / "service" / "pipeline" / "estimation" / name
-        for name in ("robust/attitude_rows.py", "paper/snapshot_fix.py")
+        ROOT / "service" / "pipeline" / "estimation" / name for name in ("robust/attitude_rows.py", "paper/runner.py")
     )
     code = "\n".join(path.read_text() for path in files)
     reported = re.findall(r"Exclusion\([^\n]*", code) + re.findall(r"return \"[^\n]*", code)

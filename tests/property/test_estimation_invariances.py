@@ -7,17 +7,17 @@ from example_counts import examples
 from flight_geometry import direction_vector
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from paper_rows import left_out, reject, solve
 
 from service.core.estimation.calibration.geometry_columns import exact_response, predict_deviation
 from service.core.estimation.filtering.attitude_filter import step
 from service.core.estimation.filtering.filter_model import KnownMotion, no_motion
 from service.core.estimation.filtering.filter_state import start
 from service.core.estimation.filtering.plant import filter_model
-from service.core.estimation.paper.downlink_fade import empty_window, fade_sign_test, mean, push
+from service.core.estimation.paper.downlink_fade import fade_sign_test, trailing_mean
 from service.core.estimation.paper.harmonic import fit_harmonic, fit_harmonics
-from service.core.estimation.paper.octants import predict_deviation_db, solve_octants
-from service.core.estimation.paper.rejection import RejectionReason, reject_faded_carriers
 from service.core.estimation.paper.sensitivity import fit_turn_sensitivity
+from service.core.estimation.paper.snapshot import RejectionReason, predict_deviation_db
 from service.core.estimation.snapshot.snapshot import solve_snapshots
 from service.core.estimation.snapshot.snapshot_steps import subset_orders
 from service.core.geometry.frames import AntennaDirection, antenna_direction, body_from_nadir
@@ -43,7 +43,7 @@ def random_row(seed, carriers, noise_db=0.1):
 def assert_same_fix(one, other):
     # 1e-9 is asked for; rounding at a condition of 1e3 is 1e-13
     np.testing.assert_allclose(one.attitude_deg, other.attitude_deg, rtol=0.0, atol=1e-9)
-    np.testing.assert_allclose(one.covariance_deg2, other.covariance_deg2, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(one.unit_covariance, other.unit_covariance, rtol=1e-6, atol=1e-12)
     np.testing.assert_allclose(one.cost, other.cost, rtol=1e-9, atol=1e-12)
 
 
@@ -51,19 +51,16 @@ def assert_same_fix(one, other):
 @given(SEEDS, CARRIERS)
 def test_permuting_carriers_permutes_nothing_else(seed, carriers):
     rng, plus, minus, deviation_db = random_row(seed, carriers)
-    sigma_db, order = rng.uniform(0.05, 0.3, carriers), rng.permutation(carriers)
-    fix = solve_octants(plus, minus, deviation_db, sigma_db)
-    shuffled = solve_octants(plus[order], minus[order], deviation_db[order], sigma_db[order])
-    assert_same_fix(fix, shuffled)
-    np.testing.assert_allclose(shuffled.residual_db, fix.residual_db[order], rtol=0.0, atol=1e-9)
+    order = rng.permutation(carriers)
+    assert_same_fix(solve(plus, minus, deviation_db), solve(plus[order], minus[order], deviation_db[order]))
 
 
 @steady
 @given(SEEDS, CARRIERS)
 def test_turning_all_signs_turns_the_fix(seed, carriers):
     _, plus, minus, deviation_db = random_row(seed, carriers)
-    fix = solve_octants(plus, minus, deviation_db, None)
-    mirrored = solve_octants(minus, plus, -deviation_db, None)
+    fix = solve(plus, minus, deviation_db)
+    mirrored = solve(minus, plus, -deviation_db)
     np.testing.assert_allclose(mirrored.attitude_deg, -fix.attitude_deg, rtol=0.0, atol=1e-9)
 
 
@@ -71,44 +68,32 @@ def test_turning_all_signs_turns_the_fix(seed, carriers):
 @given(SEEDS, CARRIERS, st.floats(0.01, 100.0))
 def test_the_fix_scales_with_the_deviations(seed, carriers, factor):
     _, plus, minus, deviation_db = random_row(seed, carriers)
-    fix = solve_octants(plus, minus, deviation_db, None)
-    scaled = solve_octants(plus, minus, factor * deviation_db, None)
+    fix = solve(plus, minus, deviation_db)
+    scaled = solve(plus, minus, factor * deviation_db)
     # the model is linear on rays; rounding grows with the factor
     np.testing.assert_allclose(scaled.attitude_deg, factor * fix.attitude_deg, rtol=1e-9, atol=1e-9 * factor)
 
 
 @steady
 @given(SEEDS, CARRIERS)
-def test_a_common_factor_of_the_sigmas_only_scales_the_covariance(seed, carriers):
-    rng, plus, minus, deviation_db = random_row(seed, carriers)
-    sigma_db = rng.uniform(0.05, 0.3, carriers)
-    fix = solve_octants(plus, minus, deviation_db, sigma_db)
-    wider = solve_octants(plus, minus, deviation_db, 3.0 * sigma_db)
-    np.testing.assert_allclose(wider.attitude_deg, fix.attitude_deg, rtol=0.0, atol=1e-9)
-    np.testing.assert_allclose(wider.covariance_deg2, 9.0 * fix.covariance_deg2, rtol=1e-6, atol=1e-12)
-
-
-@steady
-@given(SEEDS, CARRIERS)
 def test_the_covariance_is_symmetric_and_positive(seed, carriers):
-    rng, plus, minus, deviation_db = random_row(seed, carriers)
-    fix = solve_octants(plus, minus, deviation_db, rng.uniform(0.05, 0.3, carriers))
+    _, plus, minus, deviation_db = random_row(seed, carriers)
+    fix = solve(plus, minus, deviation_db)
     if fix.octant >= 0:
-        np.testing.assert_allclose(fix.covariance_deg2, fix.covariance_deg2.T, rtol=1e-9, atol=0.0)  # rounding
-        assert np.all(np.linalg.eigvalsh(fix.covariance_deg2) > 0.0)
+        np.testing.assert_allclose(fix.unit_covariance, fix.unit_covariance.T, rtol=1e-9, atol=0.0)  # rounding
+        assert np.all(np.linalg.eigvalsh(fix.unit_covariance) > 0.0)
 
 
 @steady
 @given(SEEDS, CARRIERS)
 def test_no_other_attitude_is_cheaper(seed, carriers):
     rng, plus, minus, deviation_db = random_row(seed, carriers)
-    fix = solve_octants(plus, minus, deviation_db, None)
+    fix = solve(plus, minus, deviation_db)
     if fix.octant < 0:
         return
     near = fix.attitude_deg + 10.0 ** rng.uniform(-6.0, 0.0, (500, 1)) * rng.standard_normal((500, 3))
-    residual_db = np.nan_to_num(deviation_db - predict_deviation_db(plus, minus, near))
-    assert np.all((residual_db**2).sum(axis=1) >= fix.cost - 1e-12)  # rounding
-    assert fix.second_best_cost >= fix.cost
+    left_db = np.nan_to_num(deviation_db - predict_deviation_db(plus, minus, near))
+    assert np.all((left_db**2).sum(axis=1) >= fix.cost - 1e-12)  # rounding
 
 
 @settings(parent=steady, max_examples=examples(40))
@@ -117,16 +102,12 @@ def test_rejection_ends_is_repeatable_and_ignores_the_order(seed, carriers, gate
     rng, plus, minus, deviation_db = random_row(seed, carriers, noise_db=0.3)
     deviation_db -= rng.exponential(2.0, carriers) * (rng.random(carriers) < 0.3)
     order = rng.permutation(carriers)
-    result = reject_faded_carriers(plus, minus, deviation_db, gate_db=gate_db, gate_sigma=gate_sigma)
-    shuffled = reject_faded_carriers(
-        plus[order], minus[order], deviation_db[order], gate_db=gate_db, gate_sigma=gate_sigma
-    )
+    result = reject(plus, minus, deviation_db, gate_db, gate_sigma)
+    shuffled = reject(plus[order], minus[order], deviation_db[order], gate_db, gate_sigma)
     assert np.array_equal(shuffled.reason, result.reason[order])
-    assert np.array_equal(
-        result.rejected, (result.reason == RejectionReason.GATE) | (result.reason == RejectionReason.SIGMA)
-    )
+    assert np.array_equal(result.reason == RejectionReason.ABSENT, np.isnan(deviation_db))
     present = np.isfinite(deviation_db).sum()
-    assert result.fix.carriers_used == present - result.rejected.sum() >= min(4, present)
+    assert result.fix.carriers_used == present - left_out(result).sum() >= min(4, present)
 
 
 @steady
@@ -180,7 +161,8 @@ def test_the_fade_test_ignores_the_order_and_absent_carriers(seed, carriers):
     rng = np.random.default_rng(seed)
     deviation_db = rng.normal(-1.0, 0.4, carriers)
     padded = np.concatenate([deviation_db, np.full(3, np.nan)])
-    assert str(fade_sign_test(deviation_db)) == str(fade_sign_test(rng.permutation(padded)))
+    limits = 1.0, 0.3, 0.8, 0.5, np.inf
+    assert str(fade_sign_test(deviation_db, *limits)) == str(fade_sign_test(rng.permutation(padded), *limits))
 
 
 @steady
@@ -188,12 +170,10 @@ def test_the_fade_test_ignores_the_order_and_absent_carriers(seed, carriers):
 def test_a_trailing_mean_lies_between_its_rows(seed, count, window_s):
     rng = np.random.default_rng(seed)
     epochs_us = np.cumsum(rng.integers(1, 300_000_000, count))
-    state = empty_window(3)
     rows = np.where(rng.random((count, 3)) < 0.2, np.nan, rng.standard_normal((count, 3)))
-    for epoch_us, row in zip(epochs_us.tolist(), rows, strict=True):
-        state = push(state, epoch_us, row)
     inside = rows[epochs_us > epochs_us[-1] - round(window_s * 1e6)]
-    result = mean(state, window_s=window_s, min_rows=1)
+    result, used = trailing_mean(epochs_us, rows, count, round(window_s * 1e6), 1)
+    assert used == len(inside)
     for carrier in range(3):
         present = inside[np.isfinite(inside[:, carrier]), carrier]
         if present.size == 0:

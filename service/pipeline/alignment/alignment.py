@@ -20,8 +20,7 @@ from service.core.estimation.paper.downlink_fade import Consistency, compare_wit
 from service.pipeline.carrier_model.expected_level import ExpectedLevel, GeometryModel, geometry_model
 from service.pipeline.carrier_model.level_control import centred_response, member_groups, without_group_gain
 from service.pipeline.config import AlignmentConfig
-from service.pipeline.estimation.paper.harmonic_removal import harmonic_db
-from service.pipeline.estimation.paper.snapshot_fix import SensitivityModel, answer_db, sensitivity_model
+from service.pipeline.estimation.paper.paper_model import SensitivityModel, answer_db, harmonic_db, sensitivity_model
 from service.pipeline.inputs.sensor_angles import StatedAngles, angles_over_deg, stated_sigma_deg
 from service.records.calibration import (
     Alignment,

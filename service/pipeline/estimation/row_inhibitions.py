@@ -1,11 +1,12 @@
 """Inhibitions of control by a row, and the disagreement of both methods."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from service.pipeline.config import InterlockConfig, RobustConfig
 from service.records.epoch import US_PER_S
-from service.records.levels.attitude import AttitudeFix, AttitudeRow, Status
+from service.records.levels.attitude import AttitudeRow, Status
 
 
 @dataclass(frozen=True)
@@ -84,9 +85,11 @@ class RowContext:
     is_thrusting_undeclared: bool
 
 
-def judge(fix: AttitudeFix, context: RowContext, config: InterlockConfig) -> tuple[str, ...]:
-    """Return what one fix of the paper method and its row inhibit control for."""
-    standing = _circumstantial(context) | _of_fix(fix, config)
+def judge(
+    angles_deg: Sequence[float], carriers_used: int, context: RowContext, config: InterlockConfig
+) -> tuple[str, ...]:
+    """Return what a fix of the paper method, yaw, roll and pitch by some carriers, and its row inhibit control for."""
+    standing = _circumstantial(context) | _of_fix(angles_deg, carriers_used, config)
     return tuple(reason for reason in INHIBITIONS if reason in standing)
 
 
@@ -104,14 +107,13 @@ def _circumstantial(context: RowContext) -> set[str]:
     return {reason for reason, stands in conditions.items() if stands}
 
 
-def _of_fix(fix: AttitudeFix, config: InterlockConfig) -> set[str]:
+def _of_fix(angles_deg: Sequence[float], carriers_used: int, config: InterlockConfig) -> set[str]:
     """Return the reasons that lie in the fix itself."""
-    # three numbers: plain ones are compared at a tenth of an array's cost
-    _, roll_deg, pitch_deg = angles_deg = fix.attitude_deg.tolist()
+    _, roll_deg, pitch_deg = angles_deg
     if not all(map(math.isfinite, angles_deg)):
         return {"no_fix"}
     conditions = {
-        "redundancy": fix.carriers_used - 3 < config.min_redundancy,
+        "redundancy": carriers_used - 3 < config.min_redundancy,
         "beyond_validity": max(abs(roll_deg), abs(pitch_deg)) > config.model_range_deg,
     }
     return {reason for reason, stands in conditions.items() if stands}

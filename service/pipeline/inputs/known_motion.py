@@ -17,6 +17,7 @@ from service.core.estimation.filtering.filter_model import (
     no_motion,
 )
 from service.core.estimation.filtering.plant import DAY_US, TORQUES, scale_covariance, wave_period_us
+from service.core.estimation.paper.loop_observer import MOTION, Commanded
 from service.pipeline.config import RobustConfig
 from service.records.calibration import Calibration, GatheredTorque
 from service.records.catalogue import AxisTorques, FedForwardTorque, Spacecraft
@@ -195,8 +196,20 @@ def consume(commanded: CommandedMotion, from_us: int, to_us: int) -> tuple[Known
         change_deg, rate_deg_h, lag_deg = _between(motion, max(from_us, commanded.since_us), to_us)
         correction = correction + change_deg + lag_deg - half_h * rate_deg_h
         rate = rate + rate_deg_h
-    left = tuple(motion for motion in commanded.motions if motion.stop_us > to_us)
-    return KnownMotion(correction, late, rate), CommandedMotion(commanded.since_us, left)
+    return KnownMotion(correction, late, rate), without_past(commanded, to_us)
+
+
+def without_past(commanded: CommandedMotion, newest_us: int) -> CommandedMotion:
+    """Return the changes after rows up to an epoch have consumed theirs and all late ones."""
+    return CommandedMotion(commanded.since_us, tuple(each for each in commanded.motions if each.stop_us > newest_us))
+
+
+def commanded_arrays(commanded: CommandedMotion) -> Commanded:
+    """Return the changes as compiled functions take them."""
+    motions = np.zeros(len(commanded.motions), MOTION)
+    for k, each in enumerate(commanded.motions):
+        motions[k] = each.start_us, each.stop_us, each.change_deg, each.rate_change_deg_h
+    return Commanded(motions, np.array((commanded.late_deg, commanded.late_rate_deg_h)), commanded.since_us)
 
 
 def _between(motion: _Motion, from_us: int, to_us: int) -> tuple[FloatArray, FloatArray, FloatArray]:

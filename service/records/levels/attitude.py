@@ -52,34 +52,6 @@ class Exclusion(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Deviation:
-    """L2: measured minus expected power of every carrier of a plan at one epoch."""
-
-    epoch_us: int
-    #: (N,) dBm, reference plus harmonic; NaN = not known
-    expected_dbm: FloatArray
-    #: (N,) dB, measured minus expected; NaN = absent
-    deviation_db: FloatArray
-
-
-@dataclass(frozen=True, slots=True)
-class AttitudeFix:
-    """L3: attitude of one epoch alone."""
-
-    epoch_us: int
-    #: (3,) deg, yaw, roll, pitch; NaN = no fix
-    attitude_deg: FloatArray
-    #: (3, 3) deg^2
-    covariance_deg2: FloatArray
-    #: (N,) dB, deviation minus model; NaN = absent
-    residual_db: FloatArray
-    #: (N,) dB, assumed one standard deviation of each averaged deviation
-    sigma_db: FloatArray
-    carriers_used: int
-    excluded: tuple[Exclusion, ...]
-
-
-@dataclass(frozen=True, slots=True)
 class AttitudeRow:
     """L4: attitude estimate of one method at one measurement.
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from service.core.estimation.paper.octants import predict_deviation_db
+from service.core.estimation.paper.snapshot import predict_deviation_db
 from service.core.geometry.line_of_sight import node_phase_rad
 from service.pipeline.calibration.geometry_rows import CalibrationInput
 from service.pipeline.inputs.knowledge import JournalDocuments

@@ -113,10 +113,10 @@ def step_motion(
         push[RATE.start + axis] = rate_change_deg_h[axis]
     if one["has_wheels"]:
         push[_MOVING:] = write_momentum(transition[_MOVING:], model, hidden, from_us, step_us)
-    variance = _core_variance(
+    variance = core_variance(
         model, hours, correction_deg, late_correction_deg, rate_change_deg_h, scale_error, is_followed, is_raining
     )
-    return StepMotion(transition, push, _drift_noise(model, hours, drift_scale), variance)
+    return StepMotion(transition, push, drift_noise(model, hours, drift_scale), variance)
 
 
 def write_motion(transition: FloatArray, coupling_per_h: float, tau_h: float, hours: float) -> None:
@@ -153,7 +153,7 @@ def _drift_to_attitude(hours: float, coupling_per_h: float, tau_h: float) -> tup
     return cmath.exp(turn * hours) * _quotient(decay - turn, hours), _quotient(decay, hours).real
 
 
-def _drift_noise(model: FilterModel, hours: float, drift_scale: float) -> FloatArray:
+def drift_noise(model: FilterModel, hours: float, drift_scale: float) -> FloatArray:
     """Return the covariance (9, 9) that the drifts add over a step, symmetric."""
     one = model.plant[0]
     coupling, tau_h, drift_deg_h = one["coupling_per_h"], one["drift_tau_h"], one["drift_deg_h"]
@@ -176,7 +176,7 @@ def _drift_noise(model: FilterModel, hours: float, drift_scale: float) -> FloatA
     return noise
 
 
-def _core_variance(
+def core_variance(
     model: FilterModel,
     hours: float,
     correction_deg: FloatArray,

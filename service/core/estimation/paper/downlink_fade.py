@@ -1,10 +1,14 @@
-"""Means of the last minutes, their consistency with stated angles, and the rule for rain on the downlink."""
+"""Means of the last minutes, the rule for rain on the downlink, and the consistency of levels with stated angles.
+
+Means and rule are compiled as they stand.
+"""
 
 import math
 from math import erfc, exp, pi, sqrt
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.core.arrays import FloatArray, IntArray
 
@@ -72,69 +76,71 @@ def chi_square_tail_3(chi_square: float) -> float:
     return erfc(sqrt(chi_square / 2.0)) + sqrt(2.0 * chi_square / pi) * exp(-chi_square / 2.0)
 
 
-#: Fewer carriers than this cannot show a common change.
+#: fewer carriers than this cannot show a common change
 MIN_CARRIERS = 4
-#: Angles that the fix took from the row.
+#: angles that the fix took from the row
 FITTED_ANGLES = 3
-#: Share of the spread that a turn leaves at most. Simulated fades of 1 to 3.5 dB left 0.8 to 15 times the spread, and
-#: turns of 0.3 to 1 deg 0.1 to 0.5 of it.
+#: share of the spread that a turn leaves at most. Simulated fades of 1 to 3.5 dB left 0.8 to 15 times the spread, and
+#: turns of 0.3 to 1 deg 0.1 to 0.5 of it
 TURN_SHARE = 0.5
-#: Standard deviation of a normal distribution over its median absolute deviation.
+#: standard deviation of a normal distribution over its median absolute deviation
 SIGMA_OF_MAD = 1.4826
+
+#: settings
+LIMITS = np.dtype(
+    [
+        ("averaging_us", "i8"),
+        ("min_rows", "i8"),
+        ("gate_db", "f8"),
+        ("gate_sigma", "f8"),
+        ("min_carriers", "i8"),
+        # a row later than this after its predecessor starts the means again
+        ("max_gap_us", "i8"),
+        ("fade_averaging_us", "i8"),
+        ("fade_depth_db", "f8"),
+        ("fade_share", "f8"),
+        ("fade_spread_ratio", "f8"),
+        ("fade_entry_s", "f8"),
+        ("fade_exit_s", "f8"),
+        ("fade_max_gap_s", "f8"),
+        # time after which a fix counts
+        ("objection_us", "i8"),
+    ],
+    align=True,
+)
+#: state of a watch; a zero is a dry start
+FADE = np.dtype(
+    [
+        # control is stopped because of a fade
+        ("is_stopped", "?"),
+        # how long the condition has stood without a break, s; a change of twice the depth counts twice
+        ("wet_s", "f8"),
+        # how long the median has been above minus the depth, or a turn has explained it, without a break, s
+        ("dry_s", "f8"),
+        # time since the last row that could be judged, s
+        ("blind_s", "f8"),
+    ],
+    align=True,
+)
 
 
 class FadeTest(NamedTuple):
-    """Verdict on one row; figures are NaN with fewer than four carriers.
+    """Verdict on one row; figures are NaN with fewer than four carriers."""
 
-    Parameters
-    ----------
-    is_fade : bool
-        The condition holds on this row.
-    is_turn : bool
-        Three angles leave less than half of the spread: it is the attitude that has changed.
-    median_db : float, dB
-        Median deviation.
-    spread_db : float, dB
-        1.48 times the median absolute deviation from the median.
-    share_below : float
-        Share of the present carriers below minus the depth.
-    """
-
+    #: the condition holds on this row
     is_fade: bool
+    #: three angles leave less than half of the spread: it is the attitude that has changed
     is_turn: bool
+    #: median deviation, dB
     median_db: float
+    #: 1.48 times the median absolute deviation from the median, dB
     spread_db: float
+    #: share of the present carriers below minus the depth
     share_below: float
 
 
-class FadeWatch(NamedTuple):
-    """State of the watch; the default is a dry start.
-
-    Parameters
-    ----------
-    is_stopped : bool
-        Control is stopped because of a fade.
-    wet_s : float, s
-        How long the condition has stood without a break; a change of twice the depth counts twice.
-    dry_s : float, s
-        How long the median has been above minus the depth, or a turn has explained it, without a break.
-    blind_s : float, s
-        Time since the last row that could be judged.
-    """
-
-    is_stopped: bool = False
-    wet_s: float = 0.0
-    dry_s: float = 0.0
-    blind_s: float = 0.0
-
-
 def fade_sign_test(
-    deviation_db: FloatArray,
-    *,
-    depth_db: float = 0.3,
-    share: float = 0.8,
-    spread_ratio: float = 0.5,
-    fix_residual_db: FloatArray | None = None,
+    deviation_db: FloatArray, sign: float, depth_db: float, share: float, spread_ratio: float, left_db: float
 ) -> FadeTest:
     """Return whether one row of deviations looks like rain on the downlink.
 
@@ -143,21 +149,17 @@ def fade_sign_test(
     deviation_db : ndarray, shape (N,), dB
         Measured minus reference power, harmonic removed; one row or the mean of some minutes. NaN marks an absent
         carrier.
+    sign : float
+        1 for levels that have fallen, -1 for levels that have risen: all figures are those of the product.
     depth_db : float, dB
         A carrier below minus this takes part.
     share : float
         Least share of the present carriers that must take part.
     spread_ratio : float
         The spread must be below this times the median's size.
-    fix_residual_db : ndarray, shape (N,), dB, or None
-        What the attitude fix of the same row leaves of the deviations (NaN = not used). The row is a fade only if it
-        leaves more than the common change does, and a turn where it leaves less than half. None, or fewer than four
-        residuals: the paper's rule alone.
-
-    Returns
-    -------
-    FadeTest
-        ``is_fade`` is False with fewer than four carriers.
+    left_db : float, dB
+        What the attitude fix of the same row leaves (`left_by_angles`). The row is a fade only if it leaves more than
+        the common change does, and a turn where it leaves less than half; infinite: the paper's rule alone.
 
     References
     ----------
@@ -166,181 +168,161 @@ def fade_sign_test(
 
     Examples
     --------
-    >>> fade_sign_test(np.array([-1.0, -1.1, -0.9, -1.2, np.nan])).is_fade
+    >>> fade_sign_test(np.array([-1.0, -1.1, -0.9, -1.2, np.nan]), 1.0, 0.3, 0.8, 0.5, np.inf).is_fade
     True
     """
-    present = deviation_db[np.isfinite(deviation_db)]
-    if present.size < MIN_CARRIERS:
-        return FadeTest(is_fade=False, is_turn=False, median_db=math.nan, spread_db=math.nan, share_below=math.nan)
-    median_db = median_of(present)
-    spread_db = SIGMA_OF_MAD * median_of(np.abs(present - median_db))
-    share_below = float(np.count_nonzero(present < -depth_db)) / present.size
-    is_fade = share_below >= share and spread_db < spread_ratio * abs(median_db)
-    left_db = math.inf if fix_residual_db is None else _left_by_angles(fix_residual_db)
-    return FadeTest(
-        is_fade and left_db >= spread_db, left_db < TURN_SHARE * spread_db, median_db, spread_db, share_below
-    )
+    present, count, below = np.empty(len(deviation_db)), 0, 0
+    for value in deviation_db:
+        if math.isfinite(value):
+            present[count] = sign * value
+            count += 1
+            below += sign * value < -depth_db
+    if count < MIN_CARRIERS:
+        return FadeTest(False, False, math.nan, math.nan, math.nan)
+    median_db = median_of(present, count)
+    for k in range(count):
+        present[k] = abs(present[k] - median_db)
+    spread_db, share_below = SIGMA_OF_MAD * median_of(present, count), below / count
+    is_fade = share_below >= share and spread_db < spread_ratio * abs(median_db) and left_db >= spread_db
+    return FadeTest(is_fade, left_db < TURN_SHARE * spread_db, median_db, spread_db, share_below)
 
 
-def _left_by_angles(fix_residual_db: FloatArray) -> float:
-    """Return the spread of the residuals of a fix, dB, freed from its three unknowns."""
-    present = fix_residual_db[np.isfinite(fix_residual_db)]
-    if present.size < MIN_CARRIERS:
+def left_by_angles(residual_db: FloatArray, reason: IntArray) -> float:
+    """Return the spread of what a fix leaves of its carriers (N,), those of reason 0, dB, freed from three unknowns.
+
+    Infinite with fewer than four of them.
+    """
+    present, count = np.empty(len(residual_db)), 0
+    for k in range(len(residual_db)):
+        if reason[k] == 0 and math.isfinite(residual_db[k]):
+            present[count] = abs(residual_db[k])
+            count += 1
+    if count < MIN_CARRIERS:
         return math.inf
-    freedom = math.sqrt(present.size / (present.size - FITTED_ANGLES))
-    return SIGMA_OF_MAD * median_of(np.abs(present)) * freedom
+    return SIGMA_OF_MAD * median_of(present, count) * math.sqrt(count / (count - FITTED_ANGLES))
 
 
-def median_of(values: FloatArray) -> float:
-    """Return the median of some finite values; numpy's own costs ten times as much on a row."""
-    ordered = np.sort(values)
-    return 0.5 * float(ordered[(ordered.size - 1) // 2] + ordered[ordered.size // 2])
+def median_of(values: FloatArray, count: int) -> float:
+    """Return the median of the first values, one at least, which it puts in order."""
+    for k in range(1, count):
+        value, place = values[k], k
+        while place > 0 and values[place - 1] > value:
+            values[place] = values[place - 1]
+            place -= 1
+        values[place] = value
+    return float(0.5 * (values[(count - 1) // 2] + values[count // 2]))
 
 
-def step_fade_watch(
-    state: FadeWatch,
-    dt_s: float,
-    test: FadeTest,
-    *,
-    depth_db: float = 0.3,
-    stop_after_s: float = 300.0,
-    return_after_s: float = 600.0,
-    max_gap_s: float = 300.0,
-) -> FadeWatch:
-    """Return the state of the watch after one row.
+def step_fade_watch(watch: NDArray[np.void], place: int, dt_s: float, test: FadeTest, limits: np.void) -> None:
+    """Take one row into a watch.
 
     Parameters
     ----------
-    state : FadeWatch
-        State before the row.
+    watch : ndarray of `FADE`
+        State before the row, and after it.
+    place : int
+        Which of the watches.
     dt_s : float, s
         Time since the row before; the row is taken to stand for it.
     test : FadeTest
         Verdict on the row. A row that cannot be judged (NaN) leaves the counters and is counted as blind time.
-    depth_db : float, dB
-        The depth with which the test was made.
-    stop_after_s, return_after_s : float, s
-        How long the condition must stand at the depth, a deeper change for less, and how long it must be dry: the
-        spacecraft drifts during a stop, so levels may stay away by its turn.
-    max_gap_s : float, s
-        Time without a judged row above this starts both counters again and adds nothing to them. A standing stop stays:
+    limits : record of `LIMITS`
+        The depth with which the test was made; how long the condition must stand at it, a deeper change for less, and
+        how long it must be dry. The spacecraft drifts during a stop, so levels may stay away by its turn. Time without
+        a judged row above the greatest gap starts both counters again and adds nothing to them. A standing stop stays:
         a gap is no evidence of dry weather.
-
-    Returns
-    -------
-    FadeWatch
-        State after the row.
-
-    Examples
-    --------
-    >>> wet, state = fade_sign_test(np.full(8, -2.0)), FadeWatch()
-    >>> for _ in range(5):
-    ...     state = step_fade_watch(state, 60.0, wet)
-    >>> state.is_stopped
-    True
     """
-    elapsed_s = state.blind_s + dt_s
+    depth_db = limits["fade_depth_db"]
+    elapsed_s = watch["blind_s"][place] + dt_s
     if math.isnan(test.median_db):
-        return state._replace(blind_s=elapsed_s)
-    is_gap = elapsed_s > max_gap_s
-    wet_before_s, dry_before_s, elapsed_s = (0.0, 0.0, 0.0) if is_gap else (state.wet_s, state.dry_s, elapsed_s)
-    wet_s = wet_before_s + elapsed_s * abs(test.median_db) / depth_db if test.is_fade else 0.0
-    dry_s = dry_before_s + elapsed_s if test.is_turn or test.median_db > -depth_db else 0.0
-    is_stopped = dry_s < return_after_s if state.is_stopped else wet_s >= stop_after_s
-    return FadeWatch(is_stopped, wet_s, dry_s)
+        watch["blind_s"][place] = elapsed_s
+        return
+    wet_s, dry_s = watch["wet_s"][place], watch["dry_s"][place]
+    if elapsed_s > limits["fade_max_gap_s"]:
+        wet_s, dry_s, elapsed_s = 0.0, 0.0, 0.0
+    wet_s = wet_s + elapsed_s * abs(test.median_db) / depth_db if test.is_fade else 0.0
+    dry_s = dry_s + elapsed_s if test.is_turn or test.median_db > -depth_db else 0.0
+    is_stopped = dry_s < limits["fade_exit_s"] if watch["is_stopped"][place] else wet_s >= limits["fade_entry_s"]
+    watch["is_stopped"][place], watch["blind_s"][place] = is_stopped, 0.0
+    watch["wet_s"][place], watch["dry_s"][place] = wet_s, dry_s
 
 
-class TrailingMean(NamedTuple):
-    """Rows kept for the mean; arrays are read-only.
-
-    Parameters
-    ----------
-    epoch_us : ndarray, shape (R,), microseconds UTC
-        Strictly increasing.
-    rows : ndarray, shape (R, N)
-        Values of the carriers, NaN = absent.
-    horizon_us : int, microseconds
-        Rows this much older than the newest are forgotten; no window may be longer.
-    """
-
-    epoch_us: IntArray
-    rows: FloatArray
-    horizon_us: int
+def is_turn_asked(watches: NDArray[np.void], limits: np.void, change_db: FloatArray) -> bool:
+    """Return whether a row may be a fade, or one stands, so that a fix tells whether a turn explains it better."""
+    for place in range(len(watches)):
+        if watches["is_stopped"][place] or _signed_test(limits, place, change_db, math.inf).is_fade:
+            return True
+    return False
 
 
-def empty_window(carriers: int, horizon_s: float = 3600.0) -> TrailingMean:
-    """Return a window that holds no row yet.
+def watch_fades(
+    watches: NDArray[np.void],
+    limits: np.void,
+    dt_s: float,
+    change_db: FloatArray,
+    left_db: FloatArray,
+    left_by_turn: float,
+) -> None:
+    """Apply the rule of one sign and near size to both signs.
 
-    Examples
-    --------
-    >>> state = push(empty_window(2), 60_000_000, np.array([1.0, np.nan]))
-    >>> mean(push(state, 120_000_000, np.array([3.0, 5.0])), window_s=900.0, min_rows=1)
-    array([2., 5.])
-    """
-    return _frozen(np.empty(0, dtype=np.int64), np.empty((0, carriers)), round(horizon_s * 1e6))
-
-
-def push(window_state: TrailingMean, epoch_us: int, row: FloatArray) -> TrailingMean:
-    """Return the window with one row more.
+    The print has the rule for fades alone, sign 1; a rise of all levels (-1) looks like attitude as well. A stop ends
+    where the levels are back, or back but for a turn, which the dynamics predict or which explains them by itself: the
+    spacecraft drifts during a stop.
 
     Parameters
     ----------
-    window_state : TrailingMean
-        Window before the row; it is not changed.
-    epoch_us : int, microseconds UTC
-        Epoch of the row. A row that is not newer than the newest (late, or a duplicate) leaves the window as it is.
-    row : ndarray, shape (N,)
-        Values, NaN = absent.
-
-    Returns
-    -------
-    TrailingMean
-        Window after the row, without rows older than the horizon.
+    watches : ndarray of `FADE`
+        Of falls and rises; written.
+    limits : record of `LIMITS`
+        Settings.
+    dt_s : float, s
+        Time since the row before.
+    change_db, left_db : ndarray, shape (N,), dB
+        Change of levels, and what the angles that are steered by leave of it.
+    left_by_turn : float, dB
+        What a fix of the change leaves of it.
     """
-    if window_state.epoch_us.size and epoch_us <= window_state.epoch_us[-1]:
-        return window_state
-    first = rows_until(window_state.epoch_us, epoch_us - window_state.horizon_us)
-    return _frozen(
-        np.concatenate([window_state.epoch_us[first:], [epoch_us]]),
-        np.concatenate([window_state.rows[first:], row[np.newaxis]]),
-        window_state.horizon_us,
-    )
+    for place in range(len(watches)):
+        is_stopped = watches["is_stopped"][place]
+        test = _signed_test(limits, place, change_db, math.inf)
+        if test.is_fade or is_stopped:
+            test = _signed_test(limits, place, change_db, left_by_turn)
+        if is_stopped:
+            left = _signed_test(limits, place, left_db, left_by_turn)
+            if left.median_db > test.median_db:
+                test = FadeTest(left.is_fade, test.is_turn, left.median_db, left.spread_db, left.share_below)
+        step_fade_watch(watches, place, dt_s, test, limits)
 
 
-def mean(state: TrailingMean, window_s: float = 900.0, min_rows: int = 8) -> FloatArray:
-    """Return the mean of each carrier over the window that ends with the newest row.
+def _signed_test(limits: np.void, place: int, change_db: FloatArray, left_db: float) -> FadeTest:
+    """Return the verdict on levels that have fallen (0) or risen (1)."""
+    share, ratio = limits["fade_share"], limits["fade_spread_ratio"]
+    return fade_sign_test(change_db, 1.0 - 2.0 * place, limits["fade_depth_db"], share, ratio, left_db)
+
+
+def trailing_mean(
+    epochs_us: IntArray, rows_db: FloatArray, count: int, span_us: int, min_rows: int
+) -> tuple[FloatArray, int]:
+    """Return the mean (N,) of each carrier over the last rows, and over how many; NaN = absent.
 
     Parameters
     ----------
-    state : TrailingMean
-        Rows.
-    window_s : float, s
-        Length of the window, open at its old end: 15 rows at 60 s in 900 s. Not above the horizon.
+    epochs_us, rows_db : ndarray, shape (R,) and (R, N)
+        Rows, of which the first `count` are meant, in order of time.
+    span_us : int, microseconds
+        Length of the window, open at its old end: 15 rows at 60 s in 900 s.
     min_rows : int
         Carriers with fewer present values give NaN, at least 1.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Means, NaN = absent.
     """
-    newest_us = state.epoch_us[-1] if state.epoch_us.size else 0
-    rows = state.rows[rows_until(state.epoch_us, newest_us - round(window_s * 1e6)) :]
-    is_present = np.isfinite(rows)
-    if len(rows) >= max(min_rows, 1) and is_present.all():
-        return np.asarray(rows.sum(axis=0) / len(rows))
-    count = is_present.sum(axis=0)
-    total = np.where(is_present, rows, 0.0).sum(axis=0)
-    return np.where(count >= max(min_rows, 1), total / np.maximum(count, 1), np.nan)
-
-
-def rows_until(epochs_us: IntArray, instant_us: int) -> int:
-    """Return how many of the epochs, which increase, are not after an instant."""
-    return int(epochs_us.searchsorted(instant_us, side="right"))
-
-
-def _frozen(epoch_us: IntArray, rows: FloatArray, horizon_us: int) -> TrailingMean:
-    """Return a window of arrays that nobody can write."""
-    epoch_us.setflags(write=False)
-    rows.setflags(write=False)
-    return TrailingMean(epoch_us, rows, horizon_us)
+    carriers, first = rows_db.shape[1], count
+    mean, present = np.zeros(carriers), np.zeros(carriers, dtype=np.int64)
+    while first > 0 and epochs_us[first - 1] > epochs_us[count - 1] - span_us:
+        first -= 1
+    for row in range(first, count):
+        for k in range(carriers):
+            if math.isfinite(rows_db[row, k]):
+                mean[k] += rows_db[row, k]
+                present[k] += 1
+    for k in range(carriers):
+        mean[k] = mean[k] / present[k] if present[k] >= max(min_rows, 1) else math.nan
+    return mean, count - first

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import synthetic_payload as synthetic
 from geometry_flight import HOUR, MINUTE, START_US, FlightPayload, S
+from paper_rows import expected_dbm, reject
 
 from service.pipeline.alignment.alignment import align_methods, columns_of, reference_powers, robust_references
-from service.pipeline.config import AlignmentConfig, EstimationConfig
-from service.pipeline.estimation.paper.harmonic_removal import expected_power, remove_harmonic
-from service.pipeline.estimation.paper.snapshot_fix import sensitivity_model, solve_attitude
+from service.pipeline.config import AlignmentConfig
+from service.pipeline.estimation.paper.paper_model import expected_power, sensitivity_model
 from service.pipeline.inputs.sensor_angles import StatedAngles
 from service.records.calibration import CalibrationMethod, NoiseComponent, Window
 from service.records.catalogue import Method
@@ -145,9 +145,9 @@ def test_the_phase_at_which_one_aligns_does_not_matter(payload):
         found = reference_powers(payload.series(of), stated(of.stop_us), calibration, ephemeris, CONFIG)
         alignment = replace(payload.alignment(of.stop_us), references=found.references)
         expected = expected_power(calibration, alignment, Method.PAPER, ephemeris, calibration)
-        deviation = remove_harmonic(power, later_us, expected, ephemeris).deviation_db
-        fix = solve_attitude(later_us, deviation, 15, 840.0, sensitivity_model(calibration), EstimationConfig())
-        fixes.append(fix.attitude_deg)
+        deviation = power - expected_dbm(later_us, expected, ephemeris)
+        model = sensitivity_model(calibration)
+        fixes.append(reject(model.plus_db_per_deg, model.minus_db_per_deg, deviation).fix.attitude_deg)
     spread = np.ptp(np.array(fixes), axis=0)
     # the stated bound is 1e-3 deg in roll and pitch; without noise it is rounding
     assert spread[1:].max() <= 1e-3
@@ -166,8 +166,9 @@ def test_an_alignment_away_from_zero_reports_the_angles_that_the_craft_has(paylo
     expected = expected_power(calibration, alignment, Method.PAPER, ephemeris, calibration)
     later_us = of.stop_us + 60 * S
     power = payload.power_dbm(np.array([later_us]), truth)[0]
-    deviation = remove_harmonic(power, later_us, expected, ephemeris).deviation_db
-    fix = solve_attitude(later_us, deviation, 15, 840.0, sensitivity_model(calibration), EstimationConfig())
+    deviation = power - expected_dbm(later_us, expected, ephemeris)
+    model = sensitivity_model(calibration)
+    fix = reject(model.plus_db_per_deg, model.minus_db_per_deg, deviation).fix
     np.testing.assert_allclose(fix.attitude_deg, truth, atol=1e-9)
 
 

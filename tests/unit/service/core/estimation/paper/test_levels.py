@@ -4,19 +4,19 @@ import math
 
 import numpy as np
 import pytest
+from paper_rows import FADE_LIMITS, solve
 
 from service.core.estimation.paper.downlink_fade import (
+    FADE,
     FadeTest,
-    FadeWatch,
-    empty_window,
     fade_sign_test,
-    mean,
-    push,
+    left_by_angles,
     step_fade_watch,
+    trailing_mean,
 )
 from service.core.estimation.paper.harmonic import evaluate_harmonic, fit_harmonic, fit_harmonics
-from service.core.estimation.paper.octants import solve_octants_rows
 from service.core.estimation.paper.sensitivity import TurnLevels, one_sided_curvature, reduce_to_levels
+from service.core.estimation.paper.snapshot import residual_db
 
 PHASE_RAD = np.linspace(0.0, 2.0 * np.pi, 288, endpoint=False)
 
@@ -115,96 +115,58 @@ def test_many_carriers_equal_one_at_a_time():
 MINUTE_US = 60_000_000
 
 
-def filled(rows, start_us=0, step_us=MINUTE_US, state=None):
-    state = empty_window(rows.shape[1]) if state is None else state
-    for k, row in enumerate(rows):
-        state = push(state, start_us + k * step_us, row)
-    return state
+def mean(rows, window_s=900.0, min_rows=8):
+    """Return the mean of rows a minute apart."""
+    rows = np.asarray(rows, dtype=float)
+    epochs_us = MINUTE_US * np.arange(len(rows))
+    return trailing_mean(epochs_us, rows, len(rows), round(window_s * 1e6), min_rows)[0]
 
 
 def test_it_is_the_mean_of_the_rows_in_the_window():
     rows = np.random.default_rng(1).standard_normal((40, 3))
     expected = rows[-15:].mean(axis=0)  # 900 s at 60 s
-    np.testing.assert_allclose(mean(filled(rows)), expected, rtol=0.0, atol=1e-15)  # order of sums
+    np.testing.assert_allclose(mean(rows), expected, rtol=0.0, atol=1e-15)  # order of sums
 
 
 def test_absent_values_are_left_out_and_too_few_give_nan():
     rows = np.ones((15, 2))
     rows[:7, 0] = np.nan
     rows[:8, 1] = np.nan
-    result = mean(filled(rows), window_s=900.0, min_rows=8)
+    result = mean(rows, window_s=900.0, min_rows=8)
     assert result[0] == 1.0
     assert np.isnan(result[1])
 
 
 def test_the_window_is_open_at_its_old_end():
-    rows = np.array([[100.0], [1.0], [3.0]])
-    assert mean(filled(rows), window_s=120.0, min_rows=1)[0] == 2.0
+    assert mean([[100.0], [1.0], [3.0]], window_s=120.0, min_rows=1)[0] == 2.0
 
 
 def test_an_absent_neighbour_leaves_every_bit_of_a_mean():
     rows = np.random.default_rng(2).standard_normal((40, 3))
     with_gap = rows.copy()
     with_gap[33, 0] = np.nan
-    assert np.array_equal(mean(filled(rows))[1:], mean(filled(with_gap))[1:])
+    assert np.array_equal(mean(rows)[1:], mean(with_gap)[1:])
 
 
 def test_an_empty_window_has_no_mean():
-    assert np.isnan(mean(empty_window(4), min_rows=0)).all()
+    assert np.isnan(mean(np.zeros((0, 4)), min_rows=0)).all()
 
 
 def test_a_gap_longer_than_the_window_leaves_only_the_new_rows():
-    state = push(filled(np.zeros((15, 1))), 10_000 * MINUTE_US, np.array([5.0]))
-    assert mean(state, min_rows=1)[0] == 5.0
-    assert np.isnan(mean(state, min_rows=2)[0])
-    assert state.epoch_us.tolist() == [10_000 * MINUTE_US]
+    epochs_us, rows = np.append(MINUTE_US * np.arange(15), 10_000 * MINUTE_US), np.append(np.zeros(15), 5.0)[:, None]
+    few, count = trailing_mean(epochs_us, rows, 16, 15 * MINUTE_US, 1)
+    assert (few[0], count) == (5.0, 1)
+    assert np.isnan(trailing_mean(epochs_us, rows, 16, 15 * MINUTE_US, 2)[0][0])
 
 
-@pytest.mark.parametrize("epoch_us", [14 * MINUTE_US, 3 * MINUTE_US, -MINUTE_US])
-def test_late_and_duplicate_rows_change_nothing(epoch_us):
-    state = filled(np.zeros((15, 1)))
-    assert push(state, epoch_us, np.array([9.0])) is state
-
-
-def test_a_state_is_never_changed_by_a_push():
-    state = filled(np.zeros((5, 1)))
-    push(state, 5 * MINUTE_US, np.array([9.0]))
-    assert state.rows.shape == (5, 1)
-    with pytest.raises(ValueError, match="read-only"):
-        state.rows[0, 0] = 1.0
-    with pytest.raises(ValueError, match="read-only"):
-        state.epoch_us[0] = 1
-
-
-def test_the_state_does_not_hold_on_to_the_callers_row():
-    row = np.array([1.0])
-    state = push(empty_window(1), 0, row)
-    row[0] = 2.0
-    assert state.rows[0, 0] == 1.0
-
-
-def test_the_state_forgets_what_the_horizon_excludes():
-    state = filled(np.zeros((200, 2)))
-    assert state.rows.shape == (60, 2)
-
-
-def test_a_replay_from_any_state_gives_the_same_bits():
+def test_rows_before_the_window_and_room_behind_it_change_no_bit():
     rng = np.random.default_rng(4)
     rows = rng.standard_normal((120, 16)) * 10.0 ** rng.integers(-6, 3, (120, 16))
     rows[rng.random((120, 16)) < 0.2] = np.nan
-    live = filled(rows)
-    for start in (30, 80, 104):
-        replayed = filled(rows[start:], start_us=start * MINUTE_US)
-        assert mean(live).tobytes() == mean(replayed).tobytes()
-    restarted = filled(rows[50:], start_us=50 * MINUTE_US, state=filled(rows[:50]))
-    assert mean(live).tobytes() == mean(restarted).tobytes()
-
-
-def test_a_shorter_horizon_gives_the_same_bits():
-    rows = np.random.default_rng(5).standard_normal((120, 16))
-    short = filled(rows, state=empty_window(16, horizon_s=900.0))
-    assert short.rows.shape == (15, 16)
-    assert mean(short).tobytes() == mean(filled(rows)).tobytes()
+    for start in (30, 80, 105):
+        assert mean(rows).tobytes() == mean(rows[start:]).tobytes()
+    with_room = trailing_mean(MINUTE_US * np.arange(120), rows, 100, 15 * MINUTE_US, 8)[0]
+    assert with_room.tobytes() == mean(rows[:100]).tobytes()
 
 
 SIZES_DEG = (0.125, 0.25, 0.375, 0.5)
@@ -277,8 +239,14 @@ TURNED = LOW._replace(is_turn=True)
 BLIND = FadeTest(is_fade=False, is_turn=False, median_db=math.nan, spread_db=math.nan, share_below=math.nan)
 
 
+def fade(deviation_db, residual_db=None):
+    """Return the verdict by the settings in print."""
+    left_db = math.inf if residual_db is None else left_by_angles(residual_db, np.zeros(len(residual_db), dtype=int))
+    return fade_sign_test(np.asarray(deviation_db, dtype=float), 1.0, 0.3, 0.8, 0.5, left_db)
+
+
 def test_median_spread_and_share_are_what_they_say():
-    test = fade_sign_test(np.array([-1.0, -1.1, -0.9, -1.3, -0.1, np.nan]))
+    test = fade(np.array([-1.0, -1.1, -0.9, -1.3, -0.1, np.nan]))
     assert test.median_db == -1.0
     assert test.spread_db == pytest.approx(1.4826 * 0.1, abs=1e-12)  # deviations 0, .1, .1, .3, .9
     assert test.share_below == 0.8
@@ -298,11 +266,11 @@ def test_median_spread_and_share_are_what_they_say():
     ],
 )
 def test_the_condition(deviation_db, is_fade):
-    assert fade_sign_test(np.array(deviation_db)).is_fade == is_fade
+    assert fade(deviation_db).is_fade == is_fade
 
 
 def test_too_few_carriers_give_no_figures():
-    test = fade_sign_test(np.array([-1.0, np.nan, -1.0, -1.0]))
+    test = fade([-1.0, np.nan, -1.0, -1.0])
     assert np.isnan([test.median_db, test.spread_db, test.share_below]).all()
 
 
@@ -317,17 +285,28 @@ def test_too_few_carriers_give_no_figures():
 )
 def test_what_an_attitude_of_enough_carriers_explains_better_is_no_fade(residual_db, is_fade, is_turn):
     deviation_db = np.array([-1.0, -1.1, -0.9, -1.2, -0.8, -1.0])
-    test = fade_sign_test(deviation_db, fix_residual_db=np.array(residual_db))
+    test = fade(deviation_db, np.array(residual_db))
     assert (test.is_fade, test.is_turn) == (is_fade, is_turn)
 
 
+def step(state, dt_s, test):
+    """Return the state of a watch after one row."""
+    watch = state.copy()
+    step_fade_watch(watch, 0, dt_s, test, FADE_LIMITS)
+    return watch
+
+
 def steps(tests, dt_s=60.0, state=None):
-    state = FadeWatch() if state is None else state
+    state = np.zeros(1, FADE) if state is None else state
     states = []
     for test in tests:
-        state = step_fade_watch(state, dt_s, test)
+        state = step(state, dt_s, test)
         states.append(state)
     return states
+
+
+def are_stopped(states):
+    return np.array([state["is_stopped"][0] for state in states])
 
 
 @pytest.mark.parametrize(
@@ -346,26 +325,26 @@ def steps(tests, dt_s=60.0, state=None):
     ],
 )
 def test_a_fade_stops_control_and_dry_minutes_return_it(minutes, stopped):
-    assert np.flatnonzero([state.is_stopped for state in steps(minutes)]).tolist() == list(stopped)
+    assert np.flatnonzero(are_stopped(steps(minutes))).tolist() == list(stopped)
 
 
 def test_a_gap_starts_the_entry_anew_but_keeps_a_standing_stop():
     wet = steps([WET] * 4)[-1]
-    assert not step_fade_watch(wet, 301.0, WET).is_stopped
-    assert step_fade_watch(wet, 300.0, WET).is_stopped
+    assert not step(wet, 301.0, WET)["is_stopped"]
+    assert step(wet, 300.0, WET)["is_stopped"]
     stopped = steps([WET] * 5)[-1]
-    after = step_fade_watch(stopped, 86_400.0, DRY)
-    assert after.is_stopped
-    assert after.dry_s == 0.0
-    assert steps([DRY] * 9, state=after)[-1].is_stopped
-    assert not steps([DRY] * 10, state=after)[-1].is_stopped
+    after = step(stopped, 86_400.0, DRY)
+    assert after["is_stopped"]
+    assert after["dry_s"] == 0.0
+    assert steps([DRY] * 9, state=after)[-1]["is_stopped"]
+    assert not steps([DRY] * 10, state=after)[-1]["is_stopped"]
 
 
 def test_rows_that_cannot_be_judged_count_as_time_without_evidence():
     bridged = steps([WET, WET, BLIND, WET, WET])[-1]
-    assert bridged.is_stopped
-    assert not steps([WET] * 4 + [BLIND] * 5 + [WET])[-1].is_stopped
-    assert steps([BLIND] * 3)[-1].blind_s == 180.0
+    assert bridged["is_stopped"]
+    assert not steps([WET] * 4 + [BLIND] * 5 + [WET])[-1]["is_stopped"]
+    assert steps([BLIND] * 3)[-1]["blind_s"] == 180.0
 
 
 def world(rng, minutes, *, amplitude_deg, mean_slope=0.0, fade_db=0.0):
@@ -397,13 +376,14 @@ def trailing(power_db, rows=15):
 
 
 def is_stopped(power_db, plus, minus, *, use_fix):
-    rows = trailing(power_db)
-    residual_db = solve_octants_rows(plus, minus, rows, None).residual_db
-    tests = [
-        fade_sign_test(row, fix_residual_db=residual if use_fix else None)
-        for row, residual in zip(rows, residual_db, strict=True)
-    ]
-    return np.array([state.is_stopped for state in steps(tests)])
+    tests = []
+    for row in trailing(power_db):
+        # a fix is asked for where the plain rule finds a fade
+        test = fade(row)
+        if use_fix and test.is_fade:
+            test = fade(row, residual_db(plus, minus, row, solve(plus, minus, row).attitude_deg))
+        tests.append(test)
+    return are_stopped(steps(tests))
 
 
 @pytest.mark.parametrize("use_fix", [False, True])

@@ -5,24 +5,33 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import synthetic_payload as synthetic
+from paper_rows import expected_dbm, reject
 
-from service.core.estimation.paper.octants import predict_deviation_db
-from service.pipeline.config import ChainConfig, EstimationConfig
-from service.pipeline.estimation.paper.harmonic_removal import (
+from service.core.estimation.filtering.filter_model import FilterSettings
+from service.core.estimation.noise_model import averaged_sigma_db
+from service.core.estimation.paper.loop_observer import known_motion
+from service.core.estimation.paper.row import LEVEL, RESULT, write_fix
+from service.core.estimation.paper.snapshot import predict_deviation_db
+from service.core.geometry.frames import AntennaDirection
+from service.pipeline.checkpoints import Layout
+from service.pipeline.config import ChainConfig
+from service.pipeline.estimation.paper.paper_model import (
+    ExpectedPower,
     expected_power,
     harmonic_arrays,
     harmonic_db,
+    paper_arrays,
+    paper_model,
     references_of,
-    remove_harmonic,
+    sensitivity_model,
 )
-from service.pipeline.estimation.paper.loop_state import initial_loop
-from service.pipeline.estimation.paper.runner import initial_state, paper_model, step_paper
-from service.pipeline.estimation.paper.snapshot_fix import sensitivity_model, solve_attitude
+from service.pipeline.estimation.paper.runner import SavedPaper, initial_state, step_paper
 from service.pipeline.inputs.knowledge import Knowledge, update
+from service.pipeline.inputs.known_motion import CommandedMotion, commanded_arrays, consume, heard
 from service.records.calibration import CarrierReference, NoiseComponent
 from service.records.catalogue import Method
-from service.records.inputs import Operation
-from service.records.levels.attitude import Axes, Exclusion, Status
+from service.records.inputs import Correction, Operation
+from service.records.levels.attitude import Axes, Exclusion, Pulse, ReportedCommand, Status
 
 CONFIG = ChainConfig()
 TRUTH = (0.1, -0.15, 0.2)
@@ -39,12 +48,11 @@ class Bench:
             self.knowledge = update(self.knowledge, content, self.documents)
         self.plan = self.knowledge.plan
         self.model = paper_model(self.knowledge, self.plan, self.documents.calibration(1), CONFIG)
-        loop = initial_loop(self.knowledge.alignment, self.model.loop)
-        self.state = initial_state(len(payload.ids), CONFIG, loop)
+        self.state = initial_state(self.knowledge.alignment, self.model)
 
-    def step(self, minute, angles=TRUTH, *, common_db=0.0, is_late=False, is_catch_up=False, absent=()):
+    def step(self, minute, angles=TRUTH, *, common_db=0.0, is_late=False, is_catch_up=False, absent=(), change_db=0.0):
         measurement = self.payload.measurement(self.start_us + minute * self.minute, angles)
-        power = measurement.power_dbm + common_db
+        power = measurement.power_dbm + common_db + change_db
         power[list(absent)] = np.nan
         found = step_paper(
             self.state,
@@ -126,11 +134,11 @@ def test_a_long_gap_empties_means(bench):
     bench.run(range(1, 32))
     within = bench.step(31 + 30).row
     assert "settling" in within.inhibitions  # the mean reaches fifteen minutes back, the state stays
-    assert bench.state.newest_us == bench.start_us + 61 * bench.minute
+    assert bench.state.arrays.counters["newest_us"][0] == bench.start_us + 61 * bench.minute
     bench.run(range(62, 80))
     after = bench.step(79 + 31).row
     assert after.inhibitions == ("settling", "no_fix")
-    assert len(bench.state.window.epoch_us) == 1
+    assert len(bench.state.arrays.window_us) == len(bench.state.arrays.window_db) == 1
 
 
 def test_a_row_of_only_absent_powers_is_a_row(bench):
@@ -206,8 +214,61 @@ def test_a_declared_operation_forbids_control_while_it_lasts(bench):
     assert reasons == [(), ("operation",), ("operation",), (), ()]
 
 
+def test_a_state_is_never_changed_and_holds_no_row_of_the_caller(bench):
+    bench.run(range(1, 20))
+    before = [each.copy() for each in bench.state.arrays]
+    state = bench.state
+    bench.step(20)
+    for each, then in zip(state.arrays, before, strict=True):
+        np.testing.assert_array_equal(each, then)
+
+
+def test_a_state_goes_on_from_its_bytes_bit_for_bit_and_as_fast(bench):
+    bench.run(range(1, 20))
+    layout, state = Layout(SavedPaper), bench.state
+    bench.run(range(20, 25))
+    ahead = bench.state
+    bench.state = layout.unpack(layout.pack(SavedPaper(state, None, None)), SavedPaper).state
+    bench.run(range(20, 25))
+    for each, other in zip(bench.state.arrays, ahead.arrays, strict=True):
+        assert each.tobytes() == other.tobytes()
+        assert each.dtype.isalignedstruct == other.dtype.isalignedstruct
+
+
+def test_the_window_forgets_what_no_mean_reaches(bench):
+    bench.run(range(1, 40))
+    state = bench.state.arrays
+    assert state.window_us.tolist() == [bench.start_us + minute * bench.minute for minute in range(25, 40)]
+    assert state.window_db.shape == (15, 12)
+
+
+def test_a_row_that_is_not_newer_leaves_the_window_bit_for_bit(bench):
+    bench.run(range(1, 20))
+    before = bench.state.arrays.window_us.tobytes(), bench.state.arrays.window_db.tobytes()
+    bench.step(19, (0.0, 0.0, 0.0))
+    assert (bench.state.arrays.window_us.tobytes(), bench.state.arrays.window_db.tobytes()) == before
+
+
+def test_what_was_commanded_is_that_of_the_robust_method(bench):
+    """Corrections and pulses, some late, over steps that cut them."""
+    record, start_us, minute = bench.payload.spacecraft(), bench.start_us, bench.minute
+    commanded, at_us = CommandedMotion(start_us), start_us + 3 * minute
+    changes = (
+        Correction(start_us - 2 * minute, start_us + 9 * minute, Axes(0.3, -0.2, 0.1)),
+        Correction(start_us + minute, start_us + 2 * minute, Axes(0.1, 0.2, 0.3)),
+        ReportedCommand(1, at_us, (Pulse(start_us + 5 * minute, 90.0, Axes(0.1, -0.1, 0.2)),)),
+    )
+    for change in changes:
+        commanded = heard(commanded, change, record, at_us)
+    for to_us in (start_us + 4 * minute, start_us + 5 * minute + 1, start_us + 6 * minute, start_us + 20 * minute):
+        found = known_motion(commanded_arrays(commanded), at_us, to_us)
+        known, commanded = consume(commanded, at_us, to_us)
+        expected = known.correction_deg, known.late_correction_deg, known.rate_change_deg_h
+        np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-15)
+        at_us = to_us
+
+
 ANGLES = np.array([0.2, -0.15, 0.1])
-FIX_CONFIG = EstimationConfig()
 
 
 @pytest.fixture
@@ -222,8 +283,20 @@ def deviation(payload):
     return predict_deviation_db(payload.plus, payload.minus, ANGLES)
 
 
+def arrays_of(model):
+    """Return a model without references."""
+    nothing = np.zeros(len(model.carrier_ids))
+    expected = ExpectedPower(model.carrier_ids, nothing, nothing, nothing)
+    return paper_arrays(expected, model, AntennaDirection(nothing, nothing + 8.0), FilterSettings(), CONFIG)
+
+
 def solve(model, deviation_db, rows=15, span_s=840.0):
-    return solve_attitude(5, deviation_db, rows, span_s, model, FIX_CONFIG)
+    """Return what a mean of some rows leaves, and that of each carrier."""
+    arrays, levels, result = arrays_of(model), np.zeros(len(deviation_db), LEVEL), np.zeros(1, RESULT)
+    considered_db = np.where(model.is_selected, deviation_db, np.nan)
+    outcome = reject(model.plus_db_per_deg, model.minus_db_per_deg, considered_db)
+    write_fix(arrays, outcome, considered_db, rows, span_s, levels, result)
+    return result[0], levels
 
 
 def test_the_model_holds_the_figures_of_the_calibration(payload, model):
@@ -239,91 +312,103 @@ def test_the_model_holds_the_figures_of_the_calibration(payload, model):
 def test_an_unfinished_calibration_is_an_empty_model(payload):
     empty = sensitivity_model(replace(payload.calibration(), result=None))
     assert empty.plus_db_per_deg.shape == (0, 3)
-    assert solve(empty, np.zeros(0)).carriers_used == 0
+    assert solve(empty, np.zeros(0))[0]["carriers_used"] == 0
 
 
-def test_a_carrier_in_uplink_rain_is_left_out_with_its_reason(model, deviation):
-    deviation[3] -= 4.0
-    fix = solve(model, deviation)
-    np.testing.assert_allclose(fix.attitude_deg, ANGLES, atol=1e-9)
-    assert (fix.carriers_used, fix.excluded) == (11, (Exclusion("c03", "uplink_fade"),))
-    assert fix.residual_db[3] == pytest.approx(-4.0, abs=1e-9)
+def test_a_carrier_in_uplink_rain_is_left_out_with_its_reason(bench):
+    step = bench.step(5, ANGLES, change_db=-4.0 * (np.arange(12) == 3), is_late=True)
+    np.testing.assert_allclose(step.row.attitude_deg, ANGLES, atol=1e-9)
+    assert (step.row.carriers_used, step.row.excluded) == (11, (Exclusion("c03", "uplink_fade"),))
+    assert step.levels["residual_db"][3] == pytest.approx(-4.0, abs=1e-9)
 
 
-def test_unselected_carriers_neither_enter_nor_count_as_excluded(payload, deviation):
+def with_carrier(payload, number, **changes):
+    """Return a payload whose calibration says something else of one carrier."""
     calibration = payload.calibration()
-    carriers = (replace(calibration.result.carriers[0], selected=False), *calibration.result.carriers[1:])
-    model = sensitivity_model(replace(calibration, result=replace(calibration.result, carriers=carriers)))
-    deviation[0] += 50.0
-    fix = solve(model, deviation)
-    np.testing.assert_allclose(fix.attitude_deg, ANGLES, atol=1e-9)
-    assert (fix.carriers_used, fix.excluded) == (11, ())
+    carriers = list(calibration.result.carriers)
+    carriers[number] = replace(carriers[number], **changes)
+    made = replace(calibration, result=replace(calibration.result, carriers=tuple(carriers)))
+    return type(
+        "Changed", (), {"calibration": lambda *_, **__: made, "__getattr__": lambda _, name: getattr(payload, name)}
+    )()
 
 
-def test_absent_levels_and_coefficients_are_not_counted_as_used(payload, deviation):
-    calibration = payload.calibration()
-    holed = replace(calibration.result.carriers[1], sensitivity_minus_db_per_deg=Axes(float("nan"), 1.0, 1.0))
-    carriers = (calibration.result.carriers[0], holed, *calibration.result.carriers[2:])
-    model = sensitivity_model(replace(calibration, result=replace(calibration.result, carriers=carriers)))
-    deviation[0] = np.nan
-    fix = solve(model, deviation)
-    assert fix.carriers_used == 10
-    assert fix.excluded == (Exclusion("c00", "absent"), Exclusion("c01", "absent"))
+def test_unselected_carriers_neither_enter_nor_count_as_excluded(payload):
+    bench = Bench(with_carrier(payload, 0, selected=False), synthetic)
+    row = bench.step(5, ANGLES, change_db=50.0 * (np.arange(12) == 0), is_late=True).row
+    np.testing.assert_allclose(row.attitude_deg, ANGLES, atol=1e-9)
+    assert (row.carriers_used, row.excluded) == (11, ())
+
+
+def test_absent_levels_and_coefficients_are_not_counted_as_used(payload):
+    bench = Bench(with_carrier(payload, 1, sensitivity_minus_db_per_deg=Axes(float("nan"), 1.0, 1.0)), synthetic)
+    row = bench.step(5, ANGLES, absent=(0,), is_late=True).row
+    assert row.carriers_used == 10
+    assert row.excluded == (Exclusion("c00", "absent"), Exclusion("c01", "absent"))
 
 
 @pytest.mark.parametrize("present", [0, 3])
-def test_too_few_carriers_give_no_fix_and_no_exception(model, deviation, present):
-    deviation[present:] = np.nan
-    fix = solve(model, deviation)
-    assert np.isnan(fix.attitude_deg).all()
-    assert np.isnan(fix.covariance_deg2).all()
-    assert fix.carriers_used == present
-    assert len(fix.excluded) == 12 - present
+def test_too_few_carriers_give_no_fix_and_no_exception(bench, present):
+    row = bench.step(5, absent=range(present, 12), is_late=True).row
+    assert np.isnan(row.attitude_deg).all()
+    assert np.isnan(row.sigma_deg).all()
+    assert row.carriers_used == present
+    assert len(row.excluded) == 12 - present
 
 
 def test_the_sigma_is_never_better_than_the_learned_noise_allows(payload, model, deviation):
     """Residuals that agree by chance do not shrink it: then the learned noise of the mean holds."""
     rng = np.random.default_rng(11)
-    fix = solve(model, 1e-4 * rng.normal(size=12))
-    slopes = np.where(fix.attitude_deg >= 0.0, payload.plus, payload.minus)
-    identified = np.sqrt(np.mean(fix.sigma_db**2) * np.diag(np.linalg.inv(slopes.T @ slopes)))
-    np.testing.assert_allclose(np.sqrt(np.diag(fix.covariance_deg2)), identified, rtol=1e-5)  # 1e-4 dB in common
-    rough = solve(model, deviation + 0.3 * rng.normal(size=12))
-    assert (np.diag(rough.covariance_deg2) > 4.0 * np.diag(fix.covariance_deg2)).all()
+    fix, levels = solve(model, 1e-4 * rng.normal(size=12))
+    slopes = np.where(fix["attitude_deg"] >= 0.0, payload.plus, payload.minus)
+    identified = np.sqrt(np.mean(levels["sigma_db"] ** 2) * np.diag(np.linalg.inv(slopes.T @ slopes)))
+    np.testing.assert_allclose(fix["sigma_deg"], identified, rtol=1e-5)  # 1e-4 dB in common
+    rough, _ = solve(model, deviation + 0.3 * rng.normal(size=12))
+    assert (rough["sigma_deg"] > 2.0 * fix["sigma_deg"]).all()
+
+
+def test_residuals_of_the_carriers_scale_the_sigma(model, deviation):
+    noise_db = 0.5 * np.random.default_rng(12).normal(size=12)
+    one, other = (solve(model, deviation + factor * noise_db)[0] for factor in (0.5, 1.0))
+    assert (one["sigma_deg"] < other["sigma_deg"]).all()
 
 
 def test_the_sigma_covers_a_fade_that_is_too_shallow_to_be_found(model, deviation):
-    faded = solve(model, deviation - 0.35)
-    assert (np.abs(faded.attitude_deg - ANGLES)[1:] > 0.05).any()
-    still = solve(model, np.full(12, -0.35))
-    np.testing.assert_array_less(np.abs(still.attitude_deg), 1.05 * np.sqrt(np.diag(still.covariance_deg2)) + 1e-9)
+    faded, _ = solve(model, deviation - 0.35)
+    assert (np.abs(faded["attitude_deg"] - ANGLES)[1:] > 0.05).any()
+    still, _ = solve(model, np.full(12, -0.35))
+    np.testing.assert_array_less(np.abs(still["attitude_deg"]), 1.05 * still["sigma_deg"] + 1e-9)
 
 
 def test_a_sigma_that_is_not_known_does_not_hide_those_that_are(model):
     rng = np.random.default_rng(12)
     noisy = 1e-4 * rng.normal(size=12)
     holed = replace(model, sigma_white_db=np.where(np.arange(12) == 4, np.nan, model.sigma_white_db))
-    whole = np.diag(solve(model, noisy).covariance_deg2)
+    whole = solve(model, noisy)[0]["sigma_deg"] ** 2
     # one of twelve like carriers less in the mean of the learned variances: at most 12 % either way
-    np.testing.assert_allclose(np.diag(solve(holed, noisy).covariance_deg2), whole, rtol=0.12)
+    np.testing.assert_allclose(solve(holed, noisy)[0]["sigma_deg"] ** 2, whole, rtol=0.12)
     unknown = replace(model, sigma_white_db=np.full(12, np.nan))
-    assert (np.diag(solve(unknown, noisy).covariance_deg2) < 0.01 * whole).all()
+    assert (solve(unknown, noisy)[0]["sigma_deg"] ** 2 < 0.01 * whole).all()
 
 
 def test_perfect_agreement_is_no_division_by_zero(model):
-    fix = solve(model, np.zeros(12))
-    np.testing.assert_array_equal(fix.attitude_deg, 0.0)
-    assert np.isfinite(fix.covariance_deg2).all()
+    fix, _ = solve(model, np.zeros(12))
+    np.testing.assert_array_equal(fix["attitude_deg"], 0.0)
+    assert np.isfinite(fix["sigma_deg"]).all()
 
 
 def test_all_coloured_parts_of_a_carrier_count(payload, deviation):
     calibration = payload.calibration(noise=(NoiseComponent(300.0, 0.06), NoiseComponent(7200.0, 0.08)))
     model = sensitivity_model(calibration)
     assert model.sigma_coloured_db.shape == (12, 2)
-    fix = solve(model, deviation)
+    sigma_db = solve(model, deviation)[1]["sigma_db"]
     # a mean of 14 minutes keeps nearly all of the slow part and half of the fast one
-    assert (fix.sigma_db > 0.08).all()
-    assert (fix.sigma_db < np.sqrt(0.05**2 / 15 + 0.06**2 + 0.08**2)).all()
+    assert (sigma_db > 0.08).all()
+    assert (sigma_db < np.sqrt(0.05**2 / 15 + 0.06**2 + 0.08**2)).all()
+    noise = model.sigma_white_db, model.sigma_coloured_db, model.correlation_time_s
+    for rows, span_s in ((15, 840.0), (1, 0.0), (2, 0.1)):
+        expected = averaged_sigma_db(*noise, rows=rows, span_s=span_s)
+        np.testing.assert_allclose(solve(model, deviation, rows, span_s)[1]["sigma_db"], expected, rtol=1e-12)
 
 
 @pytest.fixture
@@ -338,23 +423,28 @@ def test_at_the_reference_attitude_nothing_is_left_at_any_phase(payload, at_us):
     expected = expected_power(calibration, alignment, Method.PAPER, ephemeris, calibration)
     powers = payload.power_dbm(at_us, np.zeros(3))
     for epoch_us, power in zip(at_us.tolist(), powers, strict=True):
-        deviation = remove_harmonic(power, epoch_us, expected, ephemeris)
-        assert deviation.epoch_us == epoch_us
         # rounding of sums of 50 dBm
-        np.testing.assert_allclose(deviation.deviation_db, 0.0, atol=1e-12)
-        np.testing.assert_allclose(deviation.expected_dbm, power, atol=1e-12)
+        np.testing.assert_allclose(expected_dbm(epoch_us, expected, ephemeris), power, atol=1e-12)
 
 
-def test_absent_powers_and_carriers_without_reference_have_no_deviation(payload):
+def test_the_deviation_is_what_the_harmonic_leaves(bench, at_us):
+    calibration, ephemeris = bench.payload.calibration(), bench.payload.ephemeris()
+    expected = expected_power(calibration, bench.knowledge.alignment, Method.PAPER, ephemeris, calibration)
+    for minute in (1, 500, 1200):
+        levels = bench.step(minute, np.zeros(3), absent=(2,), is_late=True).levels
+        epoch_us = bench.start_us + minute * bench.minute
+        np.testing.assert_allclose(levels["expected_dbm"], expected_dbm(epoch_us, expected, ephemeris), atol=1e-12)
+        assert np.flatnonzero(np.isnan(levels["deviation_db"])).tolist() == [2]
+        np.testing.assert_allclose(np.delete(levels["deviation_db"], 2), 0.0, atol=1e-12)
+
+
+def test_carriers_without_reference_have_no_deviation(payload):
     alignment = payload.alignment(synthetic.START_US)
     alignment = replace(alignment, references=alignment.references[1:])
     calibration, ephemeris = payload.calibration(), payload.ephemeris()
     expected = expected_power(calibration, alignment, Method.PAPER, ephemeris, calibration)
-    power = payload.power_dbm(np.array([synthetic.START_US]), np.zeros(3))[0]
-    power[2] = np.nan
-    deviation = remove_harmonic(power, synthetic.START_US, expected, ephemeris)
-    assert np.flatnonzero(np.isnan(deviation.deviation_db)).tolist() == [0, 2]
-    assert np.flatnonzero(np.isnan(deviation.expected_dbm)).tolist() == [0]
+    found = expected_dbm(synthetic.START_US, expected, ephemeris)
+    assert np.flatnonzero(np.isnan(found)).tolist() == [0]
 
 
 def test_harmonics_of_a_calibration_are_those_of_its_carriers(payload, at_us):
