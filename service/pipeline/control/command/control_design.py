@@ -76,9 +76,8 @@ def command_of(
 
 
 def _pulse(epoch_us: int, axis: float, start_s: float, duration_s: float, torque_n_m: float) -> Pulse:
-    torque = [0.0, 0.0, 0.0]
-    torque[int(axis)] = torque_n_m
-    return Pulse(epoch_us + round(start_s * US_PER_S), duration_s, Axes._make(torque))
+    yaw, roll = (torque_n_m, 0.0) if axis == 0.0 else (0.0, torque_n_m if axis == 1.0 else 0.0)
+    return Pulse(epoch_us + round(start_s * US_PER_S), duration_s, Axes(yaw, roll, torque_n_m if axis > 1.0 else 0.0))
 
 
 def zero_command(row: AttitudeRow, spacecraft: Spacecraft, span: Span, inhibitions: tuple[str, ...]) -> TorqueCommand:
