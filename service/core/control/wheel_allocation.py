@@ -148,7 +148,7 @@ def wheel_set(
     if not 0.0 <= least_momentum_n_m_s < momentum_limit_n_m_s:
         raise ValueError("the least momentum must lie between zero and the limit of momentum")
     null = np.ascontiguousarray(np.linalg.svd(unit.T)[2][3:])
-    return Wheels(unit, _allocation(unit), null, *limits, least_momentum_n_m_s)
+    return Wheels(unit, _allocation(unit), null, *map(float, (*limits, least_momentum_n_m_s)))
 
 
 _AXES = ("yaw", "roll", "pitch")

@@ -171,7 +171,7 @@ def command_for(
         ``command_period_s`` is the horizon that the envelope has room for; zero with the reasons where the row or the
         settings forbid control.
     """
-    span = Span(start_us, duration_s, envelope)
+    span = Span(start_us, float(duration_s), Envelope(*map(float, envelope)))
     used = row if balance is None else balance_row(row, balance)
     inhibitions = control_inhibitions(used, spacecraft, body_rate_deg_s=body_rate_deg_s)
     if inhibitions:
@@ -262,28 +262,29 @@ def _design(spacecraft: Spacecraft, config: TorqueConfig, max_torque_n_m: float 
 
 def _situation(row: AttitudeRow, start_us: int) -> Situation:
     """Return the spacecraft of a row, and how long after it a command begins."""
-    rates = NOTHING if row.rates_deg_s is None else np.array(row.rates_deg_s)
+    rates = NOTHING if row.rates_deg_s is None else np.array(row.rates_deg_s, dtype=np.float64)
     ahead_s = max(0.0, (start_us - row.epoch_us) / US_PER_S)
-    return Situation(np.array(row.steered_deg), rates, np.array(row.control_allowed_axes), ahead_s)
+    return Situation(np.array(row.steered_deg, dtype=np.float64), rates, np.array(row.control_allowed_axes), ahead_s)
 
 
 def _known_torque(disturbance: Disturbance | None, start_us: int) -> KnownTorque:
     """Return the torque that is expected while a command lasts."""
     if disturbance is None:
         return KnownTorque(np.zeros((3, 3)), 1.0, 0.0)
-    parts_n_m = np.array((disturbance.constant_n_m, disturbance.cosine_n_m, disturbance.sine_n_m))
+    parts_n_m = np.array((disturbance.constant_n_m, disturbance.cosine_n_m, disturbance.sine_n_m), dtype=np.float64)
     return KnownTorque(parts_n_m, float(disturbance.period_s), (start_us - disturbance.epoch_us) / US_PER_S)
 
 
 def _horizon(spacecraft: Spacecraft, span: Span, config: TorqueConfig) -> Horizon:
     """Return the parts of a horizon."""
     # a longer horizon may become as short as the slew, and the command's span with it
-    least_s = span.period_s if span.period_s <= spacecraft.control.command_period_s else 0.0
-    slew_s = config.slew_share * min(span.period_s, spacecraft.control.command_period_s)
-    left_s = span.period_s - slew_s
+    period_s, usual_s = float(span.period_s), spacecraft.control.command_period_s
+    least_s = period_s if period_s <= usual_s else 0.0
+    slew_s = config.slew_share * min(period_s, usual_s)
+    left_s = period_s - slew_s
     # slices of a whole period where there is room, else one for what is left of the only period
     slices = max(1, int(left_s / config.balance_s)) if left_s > 0.0 else 0
-    slice_s = left_s / slices if slices else config.balance_s
+    slice_s = left_s / slices if slices else float(config.balance_s)
     return Horizon(slew_s, slice_s, slices, least_s)
 
 
@@ -298,8 +299,8 @@ def _allocated(
     is_cut: bool,
 ) -> TorqueCommand:
     """Return the command with each wheel's share, null motion included where the momenta are known."""
-    wheels = design.wheels
-    is_known = momentum_n_m_s is not None and len(momentum_n_m_s) == wheels.size
-    momentum = np.array(momentum_n_m_s) if is_known else np.full(wheels.size, wheels.least_momentum_n_m_s)
-    allocated = allocate_pulses(pulses, design.gains, design.drive, wheels, momentum, span.period_s)
+    momentum = design.usual_momentum_n_m_s
+    if momentum_n_m_s is not None and len(momentum_n_m_s) == len(momentum):
+        momentum = np.array(momentum_n_m_s, dtype=np.float64)
+    allocated = allocate_pulses(pulses, design.gains, design.drive, design.wheels, momentum, float(span.period_s))
     return command_of(row, spacecraft, span, allocated, is_saturated=is_cut or allocated.is_cut)

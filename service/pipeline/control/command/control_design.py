@@ -118,6 +118,8 @@ class ControlDesign(NamedTuple):
     gains: Gains
     drive: Drive
     wheels: Wheels
+    #: (W,) N m s, of wheels whose momentum nobody tells: from there null motion does not move them
+    usual_momentum_n_m_s: FloatArray
 
 
 @lru_cache(maxsize=64)
@@ -147,7 +149,7 @@ def control_design(spacecraft: Spacecraft, config: TorqueConfig) -> ControlDesig
         min(config.least_wheel_momentum_n_m_s, 0.5 * spacecraft.wheels.momentum_limit_n_m_s),
     )
     drive = Drive(*map(float, (limit_n_m, quantum_n_m, config.min_pulse_s, config.time_step_s)))
-    return ControlDesign(gains, drive, wheels)
+    return ControlDesign(gains, drive, wheels, np.full(wheels.size, wheels.least_momentum_n_m_s))
 
 
 def gyro_design(spacecraft: Spacecraft, config: TorqueConfig, period_s: float | None = None) -> Law:
@@ -260,13 +262,15 @@ def _wanted(
 ) -> FloatArray:
     """Return the torque (3,), N m, of the law that the catalogue chose, the known torque taken away."""
     middle_us = (span.epoch_us + span.stop_us) // 2
-    pushed = NOTHING if disturbance is None else np.array(disturbance.torque_n_m(middle_us))
+    pushed = NOTHING if disturbance is None else np.array(disturbance.torque_n_m(middle_us), dtype=np.float64)
     if is_gyro_orbitant(spacecraft):
         law = gyro_design(spacecraft, config, span.period_s)
         rate = np.array(body_rate_deg_s, dtype=np.float64)
         return gyro_orbitant_torque(row.steered_deg.roll, row.steered_deg.pitch, rate, law, math.inf) - pushed
-    rates = NOTHING if row.rates_deg_s is None else np.array(row.rates_deg_s)
-    torque_n_m: FloatArray = law_torque(design.gains, np.array(row.steered_deg), rates, NOTHING, pushed)
+    rates = NOTHING if row.rates_deg_s is None else np.array(row.rates_deg_s, dtype=np.float64)
+    torque_n_m: FloatArray = law_torque(
+        design.gains, np.array(row.steered_deg, dtype=np.float64), rates, NOTHING, pushed
+    )
     return torque_n_m
 
 

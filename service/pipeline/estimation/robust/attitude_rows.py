@@ -11,7 +11,7 @@ from service.core.estimation.filtering.declared import Declared
 from service.core.estimation.filtering.filter_model import FilterSettings, common_states
 from service.core.estimation.filtering.filter_state import FilterState
 from service.core.estimation.filtering.motion_sensor import SensorWatch
-from service.core.estimation.filtering.plant import is_pushed, sensor_states
+from service.core.estimation.filtering.plant import sensor_states
 from service.core.estimation.filtering.rate_sensor import RateWatch
 from service.core.estimation.filtering.row import MIN_CARRIERS
 from service.core.estimation.filtering.state_changes import is_torque_seen, sensors_of, torque_states
@@ -280,17 +280,12 @@ def is_torque_shown(state: FilterState, model: RobustModel, shares: int) -> bool
 
 def known_disturbance(state: FilterState, model: RobustModel, shares: int) -> Disturbance | None:
     """Return the torque that acts without being fed forward, its phase zero at the newest row; None = there is none."""
-    gaussian, epoch_us = state.gaussian, state.epoch_us
-    positions = torque_states(model.filter, len(gaussian.mean), shares, sensor_states(model.settings))
-    if positions is None or model.inertia_kg_m2 is None or not is_pushed(model.settings):
+    plant = model.arrays.plant[0]
+    positions = torque_states(model.filter, len(state.mean), shares, plant["sensor_states"])
+    if positions is None or model.inertia_kg_m2 is None or not plant["is_pushed"]:
         return None
-    return disturbance_of(
-        gaussian.mean[positions],
-        gaussian.covariance[positions, positions],
-        model.settings,
-        model.inertia_kg_m2,
-        epoch_us,
-    )
+    own = state.mean[positions], state.covariance[positions, positions]
+    return disturbance_of(*own, model.settings, model.inertia_kg_m2, state.epoch_us)
 
 
 def torque_of(settings: FilterSettings) -> tuple[object, ...]:
