@@ -89,7 +89,7 @@ PIPELINE = (
     Mutant("disturbance_of", "(cos * sine - sin * cosine)", "(cos * sine + sin * cosine)"),
     Mutant("control_inhibitions", "spacecraft.onboard.fast_loop and", "spacecraft.onboard.fast_loop or"),
     # an axis whose torque is withheld gets one
-    Mutant("write_mean", "if is_allowed[axis]:", "if axis >= 0:"),
+    Mutant("mean_command", "if is_allowed[axis]:", "if axis >= 0:"),
 )
 RELEASE = (
     # one person is enough

@@ -81,7 +81,7 @@ class PlannedPulses(NamedTuple):
 
     #: (n, 4) axis, start, duration, torque, in order of time
     pulses: FloatArray
-    #: until then it holds
+    #: until then it holds; NaN: a number is not finite, or the drive cannot give the slew in its time
     horizon_s: float
     #: whether the envelope made the slew smaller than the law wanted it
     is_shortened: bool
@@ -115,54 +115,32 @@ def plan_command(
     own_share : float
         Share of the envelope with which pulses are planned; smaller ones where their rounding passes a limit.
 
-    Raises
-    ------
-    ValueError
-        A number is not finite, or the drive cannot give the slew in its time.
-
     Notes
     -----
     When the slew ends the spacecraft has no rate and the torque has been balanced until then; after each slice angle
     and rate are back, but for what the shortest pulse cannot express, which the next slice takes.
     """
-    pulses = np.empty((3 * horizon.slices + 9, 4))
-    count, slices, is_shortened = _PLAN(pulses, gains, drive, situation, torque, horizon, envelope, own_share)
-    if count < 0:
-        raise ValueError("a number is not finite, or the drive cannot give the slew in its time")
-    return PlannedPulses(pulses[:count], horizon.slew_s + slices * horizon.slice_s, bool(is_shortened))
-
-
-def write_command(
-    pulses: FloatArray,
-    gains: Gains,
-    drive: Drive,
-    situation: Situation,
-    torque: KnownTorque,
-    horizon: Horizon,
-    envelope: Envelope,
-    own_share: float,
-) -> tuple[int, int, bool]:
-    """Write the pulses of `plan_command`; return how many, -1 for a refusal, slices, and whether it is shortened."""
+    pulses, fitted = np.empty((3 * horizon.slices + 9, 4)), np.empty((2, 3))
     # mean over the slew and over each slice after it
     expected = np.empty((1 + horizon.slices, 3))
     for part in range(1 + horizon.slices):
         middle_s = 0.5 * horizon.slew_s if part == 0 else horizon.slew_s + horizon.slice_s * (part - 0.5)
         _write_torque(expected[part], torque, middle_s)
     request = _write_request(gains, situation, torque, expected[0], horizon)
+    is_yaw_far, attempts = abs(request[2, 0]) > _YAW_COUNTS_DEG, 1 + len(_SMALLER_SHARES)
     if not (is_slew_possible(drive, horizon.slew_s) and _are_finite(request, expected)):
-        return -1, 0, False
-    is_yaw_far, fitted = abs(request[2, 0]) > _YAW_COUNTS_DEG, np.empty((2, 3))
-    for attempt in range(1 + len(_SMALLER_SHARES)):
+        attempts = 0
+    for attempt in range(attempts):
         limits = _part_of(envelope, own_share if attempt == 0 else _SMALLER_SHARES[attempt - 1])
         slices = _fit(fitted, request, gains.inertia_kg_m2, expected, horizon, limits, is_yaw_far)
         count = _write_pulses(pulses, fitted, gains, drive, situation.is_allowed, expected, horizon, slices)
         if count < 0 or overlapping_axis(pulses[:count]) >= 0:
-            return -1, 0, False
-        stop_s = max(horizon.least_s, horizon.slew_s + slices * horizon.slice_s)
-        stop_s = last_stop_s(pulses[:count], stop_s)
+            break
+        horizon_s = horizon.slew_s + slices * horizon.slice_s
+        stop_s = last_stop_s(pulses[:count], max(horizon.least_s, horizon_s))
         if is_within_envelope(pulses[:count], gains.inverse_1_kg_m2, stop_s, envelope):
-            return count, slices, _is_other(fitted[0], request[0])
-    return -1, 0, False
+            return PlannedPulses(pulses[:count], horizon_s, _is_other(fitted[0], request[0]))
+    return PlannedPulses(pulses[:0], math.nan, False)
 
 
 def _are_finite(request: FloatArray, expected_n_m: FloatArray) -> bool:
@@ -368,8 +346,7 @@ def mean_command(
     is_allowed: BoolArray,
     period_s: float,
     envelope: Envelope,
-    *,
-    are_axes_together: bool,
+    are_axes_together: bool,  # noqa: FBT001 numba knows no arguments by keyword alone
 ) -> MeanPulses:
     """Return the pulses of a mean torque of which every command of an hour may give its share of the envelope.
 
@@ -390,26 +367,7 @@ def mean_command(
     are_axes_together : bool
         Whether a cut about one axis cuts the others alike.
     """
-    pulses, carry = np.empty((4, 4)), np.empty(3)
-    count, is_cut = _MEAN(
-        pulses, carry, gains, drive, torque_n_m, carry_n_m_s, is_allowed, period_s, envelope, are_axes_together
-    )
-    return MeanPulses(pulses[:count], carry, bool(is_cut))
-
-
-def write_mean(
-    pulses: FloatArray,
-    left_n_m_s: FloatArray,
-    gains: Gains,
-    drive: Drive,
-    torque_n_m: FloatArray,
-    carry_n_m_s: FloatArray,
-    is_allowed: BoolArray,
-    period_s: float,
-    envelope: Envelope,
-    are_axes_together: bool,  # noqa: FBT001 numba knows no arguments by keyword alone
-) -> tuple[int, bool]:
-    """Write pulses and carry of `mean_command`; return how many pulses, and whether the law wanted more."""
+    pulses, count = np.empty((3, 4)), 0
     wanted, carry, shares = np.zeros(3), np.zeros(3), np.empty(3)
     for axis in range(3):
         if is_allowed[axis]:
@@ -429,12 +387,11 @@ def write_mean(
         least = min(least, shares[axis])
     for axis in range(3):
         wanted[axis] *= least if are_axes_together else shares[axis]
-    train, count, is_cut = shape_pulses(wanted, carry, period_s, drive), 0, least < 1.0
+    train, is_cut = shape_pulses(wanted, carry, period_s, drive), least < 1.0
     for axis in range(3):
         is_cut |= train.is_saturated[axis]
-        left_n_m_s[axis] = train.carry_n_m_s[axis]
         count = put_pulse(pulses, count, axis, 0.0, train.duration_s[axis], train.torque_n_m[axis])
-    return count, is_cut
+    return MeanPulses(pulses[:count], train.carry_n_m_s, is_cut)
 
 
 _HOUR_S = 3600.0
@@ -477,26 +434,12 @@ def allocate_pulses(
         Of each wheel at the beginning.
     period_s : float, s
         How long the command lasts.
-    """
-    left, wheels_n_m, effect = pulses.copy(), np.empty(len(momentum_n_m_s)), np.empty((3, 3))
-    count, is_cut = _ALLOCATE(left, wheels_n_m, effect, gains.inverse_1_kg_m2, drive, wheels, momentum_n_m_s, period_s)
-    return AllocatedPulses(left[:count], wheels_n_m, effect, bool(is_cut))
 
-
-def write_allocated(
-    pulses: FloatArray,
-    wheels_n_m: FloatArray,
-    effect: FloatArray,
-    inverse_1_kg_m2: FloatArray,
-    drive: Drive,
-    wheels: Wheels,
-    momentum_n_m_s: FloatArray,
-    period_s: float,
-) -> tuple[int, bool]:
-    """Write what `AllocatedPulses` has, shorter pulses in place; return how many are left, and whether any was cut.
-
+    Notes
+    -----
     Each pulse's rate turns the body from its middle on.
     """
+    pulses, wheels_n_m, effect = pulses.copy(), np.empty(len(momentum_n_m_s)), np.empty((3, 3))
     null, torque, turned = np.empty(len(wheels_n_m)), np.empty(3), np.empty(3)
     count, share = len(pulses), 1.0
     for _ in range(2):
@@ -510,9 +453,9 @@ def write_allocated(
             break
         share = left
     for axis in range(3):
-        effect[1, axis] = math.degrees(product_about(inverse_1_kg_m2, axis, turned))
-        effect[2, axis] = math.degrees(product_about(inverse_1_kg_m2, axis, effect[0]))
-    return count, share < 1.0
+        effect[1, axis] = math.degrees(product_about(gains.inverse_1_kg_m2, axis, turned))
+        effect[2, axis] = math.degrees(product_about(gains.inverse_1_kg_m2, axis, effect[0]))
+    return AllocatedPulses(pulses[:count], wheels_n_m, effect, share < 1.0)
 
 
 def _write_moments(impulse_n_m_s: FloatArray, turned: FloatArray, pulses: FloatArray, period_s: float) -> None:
@@ -537,6 +480,8 @@ def _shorten(pulses: FloatArray, share: float, drive: Drive) -> int:
 
 
 _MODULES = (quaternion_law, wheel_allocation, slew_schedule, sys.modules[__name__])
-#: `quaternion_law.feedback_torque`, compiled
-law_torque = CompiledEntry(quaternion_law.feedback_torque, (quaternion_law,))
-_PLAN, _MEAN, _ALLOCATE = (CompiledEntry(run, _MODULES) for run in (write_command, write_mean, write_allocated))
+#: the same functions compiled, with `quaternion_law.feedback_torque`
+compiled_plan, compiled_mean, compiled_allocation, compiled_law = (
+    CompiledEntry(run, _MODULES)
+    for run in (plan_command, mean_command, allocate_pulses, quaternion_law.feedback_torque)
+)

@@ -159,7 +159,7 @@ def plan_slew(
         raise ValueError(f"the quantum {drive.quantum_n_m:g} N m exceeds the torque limit {drive.limit_n_m:g} N m")
     if not is_slew_possible(drive, horizon_s):
         raise ValueError(f"{horizon_s:g} s have no room for two pulses of at least {drive.min_pulse_s:g} s")
-    inverse, pulses = inverse_of(inertia_kg_m2), np.zeros((7, 4))
+    inverse, pulses = inverse_of(inertia_kg_m2), np.zeros((6, 4))
     count = write_slew(pulses, np.radians(change), np.radians(rate), inertia_kg_m2, inverse, horizon_s, drive)
     if count < 0:
         axis, _, longest_s, wanted = pulses[0].tolist()
@@ -187,7 +187,7 @@ def write_slew(
     horizon_s: float,
     drive: Drive,
 ) -> int:
-    """Write the pulses of `plan_slew`, at most six of room for seven, and return how many.
+    """Write the pulses of `plan_slew`, at most six, and return how many.
 
     -1: the torque limit is exceeded about the axis of the first row, whose other numbers are the longest duration and
     the wanted impulse.

@@ -9,12 +9,13 @@ is not given after it. Where the inhibition doubts only the angles of the presen
 was learned before them.
 """
 
+import math
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from service.core.control.command_plan import Horizon, KnownTorque, Situation, allocate_pulses, plan_command
+from service.core.control.command_plan import Horizon, KnownTorque, Situation, compiled_allocation, compiled_plan
 from service.core.control.slew_schedule import Envelope
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.balance import balance_axes, balance_row
@@ -236,7 +237,7 @@ def _forecast_command(
     try:
         design = _design(spacecraft, config, max_torque_n_m)
         horizon = _horizon(spacecraft, span, config)
-        plan = plan_command(
+        plan = compiled_plan(
             design.gains,
             design.drive,
             _situation(row, span.epoch_us),
@@ -246,6 +247,8 @@ def _forecast_command(
             config.envelope_share,
         )
     except ValueError:
+        return zero_command(row, spacecraft, span, ("no_law",))
+    if math.isnan(plan.horizon_s):
         return zero_command(row, spacecraft, span, ("no_law",))
     if not horizon.least_s:
         span = span._replace(period_s=plan.horizon_s)
@@ -302,5 +305,5 @@ def _allocated(
     momentum = design.usual_momentum_n_m_s
     if momentum_n_m_s is not None and len(momentum_n_m_s) == len(momentum):
         momentum = np.array(momentum_n_m_s, dtype=np.float64)
-    allocated = allocate_pulses(pulses, design.gains, design.drive, design.wheels, momentum, float(span.period_s))
-    return command_of(row, spacecraft, span, allocated, is_saturated=is_cut or allocated.is_cut)
+    allocated = compiled_allocation(pulses, design.gains, design.drive, design.wheels, momentum, float(span.period_s))
+    return command_of(row, spacecraft, span, allocated, is_saturated=bool(is_cut or allocated.is_cut))

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from service.core.control.command_plan import AllocatedPulses, MeanPulses, law_torque, mean_command
+from service.core.control.command_plan import AllocatedPulses, MeanPulses, compiled_law, compiled_mean
 from service.core.control.gyro_orbitant import does_rate_show_yaw, gyro_orbitant_law, gyro_orbitant_torque
 from service.core.control.quaternion_law import GEOSTATIONARY_RATE_RAD_S, Gains, loop_gains
 from service.core.control.slew_schedule import Drive, Envelope
@@ -239,7 +239,7 @@ def mean_pulses(
         raise ValueError("the law has no finite torque for these angles and rates")
     are_axes_together, is_automatic = is_gyro_orbitant(spacecraft), spacecraft.control.release is Release.AUTOMATIC
     own_share = math.inf if are_axes_together and is_automatic else config.envelope_share
-    return mean_command(
+    mean: MeanPulses = compiled_mean(
         design.gains,
         design.drive,
         wanted,
@@ -247,8 +247,9 @@ def mean_pulses(
         np.array(row.control_allowed_axes),
         float(span.period_s),
         Envelope(*(own_share * limit for limit in span.envelope)),
-        are_axes_together=are_axes_together,
+        are_axes_together,
     )
+    return mean
 
 
 def _wanted(
@@ -268,7 +269,7 @@ def _wanted(
         rate = np.array(body_rate_deg_s, dtype=np.float64)
         return gyro_orbitant_torque(row.steered_deg.roll, row.steered_deg.pitch, rate, law, math.inf) - pushed
     rates = NOTHING if row.rates_deg_s is None else np.array(row.rates_deg_s, dtype=np.float64)
-    torque_n_m: FloatArray = law_torque(
+    torque_n_m: FloatArray = compiled_law(
         design.gains, np.array(row.steered_deg, dtype=np.float64), rates, NOTHING, pushed
     )
     return torque_n_m
