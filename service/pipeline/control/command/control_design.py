@@ -65,7 +65,12 @@ def command_of(
         saturated=is_saturated,
         command_period_s=period_s,
         valid_until_us=span.stop_us,
-        schedule=tuple([_pulse(span.epoch_us, *pulse) for pulse in allocated.pulses.tolist()]),
+        schedule=tuple(
+            [
+                Pulse(span.epoch_us + round(start_s * US_PER_S), duration_s, _about(axis, torque_n_m))
+                for axis, start_s, duration_s, torque_n_m in allocated.pulses.tolist()
+            ]
+        ),
         impulse_n_m_s=impulse,
         predicted_angle_change_deg=angle_deg,
         predicted_rate_change_deg_s=rate_deg_s,
@@ -75,9 +80,10 @@ def command_of(
     )
 
 
-def _pulse(epoch_us: int, axis: float, start_s: float, duration_s: float, torque_n_m: float) -> Pulse:
-    yaw, roll = (torque_n_m, 0.0) if axis == 0.0 else (0.0, torque_n_m if axis == 1.0 else 0.0)
-    return Pulse(epoch_us + round(start_s * US_PER_S), duration_s, Axes(yaw, roll, torque_n_m if axis > 1.0 else 0.0))
+def _about(axis: float, torque_n_m: float) -> Axes:
+    if axis == 0.0:
+        return Axes(torque_n_m, 0.0, 0.0)
+    return Axes(0.0, torque_n_m, 0.0) if axis == 1.0 else Axes(0.0, 0.0, torque_n_m)
 
 
 def zero_command(row: AttitudeRow, spacecraft: Spacecraft, span: Span, inhibitions: tuple[str, ...]) -> TorqueCommand:
