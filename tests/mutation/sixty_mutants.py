@@ -31,7 +31,7 @@ CORE = (
     ),
     # a wheel turns the body its own way
     Mutant("allocate_to_wheels", "-torque_n_m @", "torque_n_m @"),
-    Mutant("allocate", "momentum + given * duration_s", "momentum + (given - null) * duration_s"),
+    Mutant("allocate", "share * wheels_n_m[k] + 0.0", "wheels_n_m[k]"),
     # a saturated request is saved up
     Mutant("shape_pulses", "0.0 if is_saturated else wanted", "wanted"),
     # an effect that is no number passes the envelope

@@ -36,7 +36,7 @@ from service.core.control.slew_schedule import (
     steps_at_limit,
     write_slew,
 )
-from service.core.control.wheel_allocation import Wheels, write_allocation
+from service.core.control.wheel_allocation import Allocation, Wheels, allocate
 
 #: yaw beyond it settles with roll and pitch how long a command holds, deg
 _YAW_COUNTS_DEG = 0.3
@@ -439,33 +439,41 @@ def allocate_pulses(
     -----
     Each pulse's rate turns the body from its middle on.
     """
-    pulses, wheels_n_m, effect = pulses.copy(), np.empty(len(momentum_n_m_s)), np.empty((3, 3))
-    null, torque, turned = np.empty(len(wheels_n_m)), np.empty(3), np.empty(3)
-    count, share = len(pulses), 1.0
-    for _ in range(2):
-        if share < 1.0:
-            count = _shorten(pulses, share, drive)
-        _write_moments(effect[0], turned, pulses[:count], period_s)
-        for axis in range(3):
-            torque[axis] = effect[0, axis] / period_s
-        left, _, _ = write_allocation(wheels_n_m, null, wheels, torque, momentum_n_m_s, period_s)
-        if left >= 1.0 or share < 1.0:
-            break
-        share = left
+    pulses, effect, torque, turned = pulses.copy(), np.empty((3, 3)), np.empty(3), np.empty(3)
+    count = len(pulses)
+    allocation = _allocation(effect[0], torque, turned, pulses, wheels, momentum_n_m_s, period_s)
+    share = allocation.share
+    if share < 1.0:
+        count = _shorten(pulses, share, drive)
+        allocation = _allocation(effect[0], torque, turned, pulses[:count], wheels, momentum_n_m_s, period_s)
     for axis in range(3):
         effect[1, axis] = math.degrees(product_about(gains.inverse_1_kg_m2, axis, turned))
         effect[2, axis] = math.degrees(product_about(gains.inverse_1_kg_m2, axis, effect[0]))
-    return AllocatedPulses(pulses[:count], wheels_n_m, effect, share < 1.0)
+    return AllocatedPulses(pulses[:count], allocation.wheels_n_m, effect, share < 1.0)
 
 
-def _write_moments(impulse_n_m_s: FloatArray, turned: FloatArray, pulses: FloatArray, period_s: float) -> None:
-    """Write the impulse (3,) of pulses (n, 4), and that times its time until the period ends, N m s^2."""
+def _allocation(
+    impulse_n_m_s: FloatArray,
+    torque_n_m: FloatArray,
+    turned: FloatArray,
+    pulses: FloatArray,
+    wheels: Wheels,
+    momentum_n_m_s: FloatArray,
+    period_s: float,
+) -> Allocation:
+    """Return the allocation of the mean torque of pulses; write their impulse, it and the impulse times its time left.
+
+    All are (3,), the last one in N m s^2.
+    """
     for axis in range(3):
         impulse_n_m_s[axis], turned[axis] = 0.0, 0.0
     for number in range(len(pulses)):
         impulse, axis = pulses[number, TORQUE_N_M] * pulses[number, DURATION_S], int(pulses[number, AXIS])
         impulse_n_m_s[axis] += impulse
         turned[axis] += impulse * (period_s - pulses[number, START_S] - 0.5 * pulses[number, DURATION_S])
+    for axis in range(3):
+        torque_n_m[axis] = impulse_n_m_s[axis] / period_s
+    return allocate(wheels, torque_n_m, momentum_n_m_s, period_s)
 
 
 def _shorten(pulses: FloatArray, share: float, drive: Drive) -> int:

@@ -98,14 +98,8 @@ class Allocation(NamedTuple):
     wheels_n_m: FloatArray
     #: (W,) N m, the part that turns nothing
     null_n_m: FloatArray
-    #: (3,) N m, resulting torque on the body: `share` times the requested one
-    torque_n_m: FloatArray
-    #: 1 = all of it
+    #: of the requested torque on the body; 1 = all of it
     share: float
-    #: which wheel cut the share, and by "torque" or "momentum"; None where nothing did
-    limited_by: tuple[int, str] | None
-    #: (W,) N m s after the given time
-    momentum_n_m_s: FloatArray
 
 
 def wheel_set(
@@ -154,16 +148,16 @@ def wheel_set(
 _AXES = ("yaw", "roll", "pitch")
 
 
-def allocate(wheels: Wheels, torque_n_m: ArrayLike, momentum_n_m_s: ArrayLike, duration_s: float) -> Allocation:
+def allocate(wheels: Wheels, torque_n_m: FloatArray, momentum_n_m_s: FloatArray, duration_s: float) -> Allocation:
     """Return the torque of each wheel for a torque on the body.
 
     Parameters
     ----------
     wheels : Wheels
         Of `wheel_set`.
-    torque_n_m : array_like, shape (3,), N m
+    torque_n_m : ndarray, shape (3,), N m
         Wanted torque on the body about yaw, roll, pitch.
-    momentum_n_m_s : array_like, shape (W,), N m s
+    momentum_n_m_s : ndarray, shape (W,), N m s
         Stored momentum at the beginning.
     duration_s : float, s
         How long the torque lasts.
@@ -172,54 +166,17 @@ def allocate(wheels: Wheels, torque_n_m: ArrayLike, momentum_n_m_s: ArrayLike, d
     -------
     Allocation
         A wheel beyond its limit of momentum takes no torque that leads further out, any that leads back.
-
-    Raises
-    ------
-    ValueError
-        A number is not finite, momenta do not fit the wheels, or the duration is not positive.
     """
-    wanted, momentum = np.asarray(torque_n_m, dtype=np.float64), np.asarray(momentum_n_m_s, dtype=np.float64)
-    if wanted.shape != (3,) or momentum.shape != (wheels.size,):
-        raise ValueError(f"three torques and {wheels.size} momenta are needed, one for each wheel")
-    if not (np.isfinite(wanted).all() and np.isfinite(momentum).all() and math.isfinite(duration_s)):
-        raise ValueError("torque, momentum and duration must be finite")
-    if duration_s <= 0.0:
-        raise ValueError("the duration must be positive")
-    given, null = np.zeros(wheels.size), np.zeros(wheels.size)
-    share, wheel, is_torque = write_allocation(given, null, wheels, wanted, momentum, duration_s)
-    return Allocation(
-        wheels_n_m=given,
-        null_n_m=null,
-        torque_n_m=share * wanted,
-        share=share,
-        limited_by=None if wheel < 0 else (wheel, "torque" if is_torque else "momentum"),
-        momentum_n_m_s=momentum + given * duration_s,
-    )
-
-
-def write_allocation(
-    wheels_n_m: FloatArray,
-    null_n_m: FloatArray,
-    wheels: Wheels,
-    torque_n_m: FloatArray,
-    momentum_n_m_s: FloatArray,
-    duration_s: float,
-) -> tuple[float, int, bool]:
-    """Write the torques (W,) of an `Allocation` and those of its null motion.
-
-    Returned are the share, the wheel that cut it, -1 for none, and whether by its torque.
-    """
-    share, wheel, is_torque = 1.0, -1, False
+    wheels_n_m, null_n_m, share = np.empty(len(momentum_n_m_s)), np.zeros(len(momentum_n_m_s)), 1.0
     for k in range(len(wheels_n_m)):
         wanted = 0.0
         for axis in range(3):
             wanted -= torque_n_m[axis] * wheels.inverse[axis, k]
-        wheels_n_m[k], null_n_m[k] = wanted, 0.0
+        wheels_n_m[k] = wanted
         room = _room(wheels, momentum_n_m_s[k], math.copysign(1.0, wanted), duration_s)
-        if abs(wanted) > wheels.torque_limit_n_m and wheels.torque_limit_n_m < share * abs(wanted):
-            share, wheel, is_torque = wheels.torque_limit_n_m / abs(wanted), k, True
-        if abs(wanted) > room and room < share * abs(wanted):
-            share, wheel, is_torque = room / abs(wanted), k, False
+        bound = min(room, wheels.torque_limit_n_m)
+        if abs(wanted) > bound:
+            share = min(share, bound / abs(wanted))
     is_slow = False
     for k in range(len(wheels_n_m)):
         wheels_n_m[k] = share * wheels_n_m[k] + 0.0
@@ -228,7 +185,7 @@ def write_allocation(
         _write_null_torque(null_n_m, wheels, wheels_n_m, momentum_n_m_s, duration_s)
         for k in range(len(wheels_n_m)):
             wheels_n_m[k] += null_n_m[k]
-    return share, wheel, is_torque
+    return Allocation(wheels_n_m, null_n_m, share)
 
 
 def _room(wheels: Wheels, momentum_n_m_s: float, sign: float, duration_s: float) -> float:
