@@ -23,6 +23,7 @@ from service.pipeline.checkpoints import ChainState
 from service.pipeline.config import ChainConfig
 from service.pipeline.control.command.balance import basis_at, basis_of, with_executed
 from service.pipeline.control.command.compute_command import NO_CARRY, compute_command
+from service.pipeline.control.command.control_design import is_gyro_orbitant
 from service.pipeline.control.command.schedule_check import PanelSwing, swing_after
 from service.pipeline.estimation.method import (
     CommandEvidence,
@@ -348,20 +349,22 @@ class Chain:
         driving = next((row for row in rows if row.method is wanted), None) or self._row_of_silent(rows[0], wanted)
         source = next((each for each in found if each.row.method is wanted), None)
         config, disturbance = self._config.torque, None if source is None else source.disturbance()
-        row_period_s, is_automatic = self._row_period_s(), spacecraft.control.release is Release.AUTOMATIC
-        rate_age_s = config.rate_stale_periods * row_period_s + config.rate_stale_margin_s
+        is_automatic, body_rate_deg_s = spacecraft.control.release is Release.AUTOMATIC, None
+        if is_gyro_orbitant(spacecraft):
+            rate_age_s = config.rate_stale_periods * self._row_period_s() + config.rate_stale_margin_s
+            body_rate_deg_s = self._knowledge.body_rate_deg_s(driving.epoch_us, rate_age_s)
         self._basis = self._basis_at(driving, spacecraft, disturbance)
         torque = compute_command(
             driving,
             spacecraft,
             self._carry_n_m_s,
-            row_period_s if is_automatic else spacecraft.control.command_period_s,
+            self._row_period_s() if is_automatic else spacecraft.control.command_period_s,
             config,
             disturbance,
             self._knowledge.momentum_n_m_s(driving.epoch_us, config.telemetry_age_s),
             swing=self._swing,
             is_withheld=self._knowledge.is_withheld,
-            body_rate_deg_s=self._knowledge.body_rate_deg_s(driving.epoch_us, rate_age_s),
+            body_rate_deg_s=body_rate_deg_s,
             basis=self._basis,
         )
         self._carry_n_m_s = torque.carry_n_m_s

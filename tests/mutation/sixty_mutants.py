@@ -24,12 +24,16 @@ CORE = (
     Mutant("error_angles_rad", "math.copysign(2.0, scalar)", "2.0"),
     Mutant("body_rate_rad_s", "roll_rate - yaw_rate * math.sin(pitch)", "roll_rate + yaw_rate * math.sin(pitch)"),
     # roll and yaw exchange the wrong way round
-    Mutant("feedback_torque", "np.array([-roll_rate, yaw_rate, 0.0])", "np.array([roll_rate, -yaw_rate, 0.0])"),
+    Mutant(
+        "feedback_torque",
+        "wanted[0] += gains.orbital_rate_rad_s * rate[1]",
+        "wanted[0] -= gains.orbital_rate_rad_s * rate[1]",
+    ),
     # a wheel turns the body its own way
     Mutant("allocate_to_wheels", "-torque_n_m @", "torque_n_m @"),
-    Mutant("allocate", "momentum + (given + null) * duration_s", "momentum + given * duration_s"),
+    Mutant("allocate", "share * wheels_n_m[k] + 0.0", "wheels_n_m[k]"),
     # a saturated request is saved up
-    Mutant("shape_pulses", "np.where(is_saturated, 0.0, wanted - impulse)", "wanted - impulse"),
+    Mutant("shape_pulses", "0.0 if is_saturated else wanted", "wanted"),
     # an effect that is no number passes the envelope
     Mutant("envelope_excesses", "if not value <= limit * (1.0 + _ROUNDING)", "if value > limit * (1.0 + _ROUNDING)"),
     # an instant at a node belongs to the orbit before
@@ -93,7 +97,7 @@ PIPELINE = (
     Mutant("disturbance_of", "(cos * sine - sin * cosine)", "(cos * sine + sin * cosine)"),
     Mutant("control_inhibitions", "spacecraft.onboard.fast_loop and", "spacecraft.onboard.fast_loop or"),
     # an axis whose torque is withheld gets one
-    Mutant("mean_pulses", "wanted = np.where(is_allowed, wanted, 0.0)", "wanted = wanted + 0.0"),
+    Mutant("mean_command", "if is_allowed[axis]:", "if axis >= 0:"),
 )
 RELEASE = (
     # one person is enough

@@ -1,4 +1,7 @@
-"""Attitude control law by quaternion error, and the slew request that follows from it in tracking."""
+"""Attitude control law by quaternion error, and the slew request that follows from it in tracking.
+
+Functions of arrays are compiled as they stand; they refuse nothing: what is not finite gives what is not finite.
+"""
 
 import math
 from typing import NamedTuple
@@ -23,6 +26,8 @@ class Gains(NamedTuple):
 
     #: (3, 3) kg m^2 in the order yaw, roll, pitch
     inertia_kg_m2: FloatArray
+    #: (3, 3)
+    inverse_1_kg_m2: FloatArray
     #: 1/s^2, of the angle
     stiffness_1_s2: float
     #: 1/s, of the rate
@@ -56,7 +61,12 @@ def inertia_about_angles(inertia_kg_m2: ArrayLike) -> FloatArray:
         raise ValueError(
             f"the principal moment {greatest:g} exceeds the sum of the others, {least + middle:g} kg m^2; no body is so"
         )
-    return np.asarray(tensor[np.ix_(ANGLES_FROM_BODY, ANGLES_FROM_BODY)])
+    return np.ascontiguousarray(tensor[np.ix_(ANGLES_FROM_BODY, ANGLES_FROM_BODY)])
+
+
+def inverse_of(inertia_kg_m2: FloatArray) -> FloatArray:
+    """Return the inverse of a tensor (3, 3)."""
+    return np.asarray(np.linalg.inv(inertia_kg_m2), dtype=np.float64)
 
 
 def loop_gains(
@@ -122,17 +132,17 @@ def loop_gains(
             f"the gains saturate: {angle_deg:g} deg would ask for {torque_n_m:.3g} N m of {torque_limit_n_m:g}; "
             f"take a period of at least {math.ceil(longer_s):d} s"
         )
-    return Gains(tensor, omega_rad_s**2, 2.0 * damping * omega_rad_s, orbital_rate_rad_s)
+    return Gains(tensor, inverse_of(tensor), omega_rad_s**2, 2.0 * damping * omega_rad_s, orbital_rate_rad_s)
 
 
-def error_angles_rad(attitude_deg: ArrayLike, target_deg: ArrayLike) -> FloatArray:
+def error_angles_rad(attitude_deg: FloatArray, target_deg: FloatArray) -> FloatArray:
     """Return twice the vector part (3,) of the quaternion from target to body, by the shorter way, rad.
 
     Order yaw, roll, pitch; equal to the angles of rotation to third order.
 
     Examples
     --------
-    >>> np.degrees(error_angles_rad([0.0, 0.1, 0.0], [0.0, 0.0, 0.0])).round(6).tolist()
+    >>> np.degrees(error_angles_rad(np.array([0.0, 0.1, 0.0]), np.zeros(3))).round(6).tolist()
     [0.0, 0.1, 0.0]
     """
     x, y, z, w = _quaternion(attitude_deg)
@@ -142,36 +152,34 @@ def error_angles_rad(attitude_deg: ArrayLike, target_deg: ArrayLike) -> FloatArr
     roll = tw * x - w * tx - (ty * z - tz * y)
     pitch = tw * y - w * ty - (tz * x - tx * z)
     yaw = tw * z - w * tz - (tx * y - ty * x)
-    return math.copysign(2.0, scalar) * np.array([yaw, roll, pitch])
+    twice = math.copysign(2.0, scalar)
+    return np.array((twice * yaw, twice * roll, twice * pitch))
 
 
-def _quaternion(attitude_deg: ArrayLike) -> tuple[float, float, float, float]:
+def _quaternion(attitude_deg: FloatArray) -> tuple[float, float, float, float]:
     """Return the quaternion of yaw, roll, pitch in this order (3-2-1), scalar last."""
-    halves = (0.5 * np.radians(np.asarray(attitude_deg, dtype=np.float64))).tolist()
-    (cy, sy), (cr, sr), (cp, sp) = ((math.cos(half), math.sin(half)) for half in halves)
+    yaw, roll, pitch = math.radians(attitude_deg[0]), math.radians(attitude_deg[1]), math.radians(attitude_deg[2])
+    cy, cr, cp = math.cos(0.5 * yaw), math.cos(0.5 * roll), math.cos(0.5 * pitch)
+    sy, sr, sp = math.sin(0.5 * yaw), math.sin(0.5 * roll), math.sin(0.5 * pitch)
     x = sr * cp * cy - cr * sp * sy
     y = cr * sp * cy + sr * cp * sy
     z = cr * cp * sy - sr * sp * cy
     return x, y, z, cr * cp * cy + sr * sp * sy
 
 
-def body_rate_rad_s(attitude_deg: ArrayLike, rates_deg_s: ArrayLike) -> FloatArray:
+def body_rate_rad_s(attitude_deg: FloatArray, rates_deg_s: FloatArray) -> FloatArray:
     """Return the rate of the body against the orbit (3,) about its own axes, of the rates of its angles (3,)."""
-    _, roll, pitch = np.radians(np.asarray(attitude_deg, dtype=np.float64)).tolist()
-    yaw_rate, roll_rate, pitch_rate = np.radians(np.asarray(rates_deg_s, dtype=np.float64)).tolist()
+    roll, pitch = math.radians(attitude_deg[1]), math.radians(attitude_deg[2])
+    yaw_rate, roll_rate = math.radians(rates_deg_s[0]), math.radians(rates_deg_s[1])
+    pitch_rate = math.radians(rates_deg_s[2])
     about_yaw = yaw_rate * math.cos(pitch) * math.cos(roll) - pitch_rate * math.sin(roll)
     about_roll = roll_rate - yaw_rate * math.sin(pitch)
     about_pitch = yaw_rate * math.cos(pitch) * math.sin(roll) + pitch_rate * math.cos(roll)
-    return np.array([about_yaw, about_roll, about_pitch])
+    return np.array((about_yaw, about_roll, about_pitch))
 
 
 def feedback_torque(
-    gains: Gains,
-    attitude_deg: ArrayLike,
-    rates_deg_s: ArrayLike,
-    *,
-    target_deg: ArrayLike = (0.0, 0.0, 0.0),
-    disturbance_n_m: ArrayLike = (0.0, 0.0, 0.0),
+    gains: Gains, attitude_deg: FloatArray, rates_deg_s: FloatArray, target_deg: FloatArray, disturbance_n_m: FloatArray
 ) -> FloatArray:
     """Return the torque on the body about yaw, roll, pitch (3,), N m, not yet limited.
 
@@ -179,77 +187,73 @@ def feedback_torque(
     ----------
     gains : Gains
         Of `loop_gains`.
-    attitude_deg, rates_deg_s : array_like, shape (3,), deg and deg/s
+    attitude_deg, rates_deg_s : ndarray, shape (3,), deg and deg/s
         Filtered angles and their rates: yaw, roll, pitch.
-    target_deg : array_like, shape (3,), deg
+    target_deg : ndarray, shape (3,), deg
         Attitude to hold.
-    disturbance_n_m : array_like, shape (3,), N m
+    disturbance_n_m : ndarray, shape (3,), N m
         Estimated torque on the body that nobody commanded; it is cancelled.
-
-    Raises
-    ------
-    ValueError
-        A number is not finite.
 
     Examples
     --------
     >>> inertia = np.diag([2600.0, 1400.0, 2600.0])
     >>> gains = loop_gains(inertia, period_s=7200.0, damping=0.9, torque_limit_n_m=0.05, command_period_s=60.0)
-    >>> feedback_torque(gains, [0.0, 0.1, 0.0], [0.0, 0.0, 0.0]).round(9).tolist()
+    >>> roll = np.array([0.0, 0.1, 0.0])
+    >>> feedback_torque(gains, roll, np.zeros(3), np.zeros(3), np.zeros(3)).round(9).tolist()
     [0.0, -3.456e-06, 0.0]
     """
-    given = np.array([attitude_deg, rates_deg_s, target_deg, disturbance_n_m], dtype=np.float64)
-    if given.shape != (4, 3) or not np.isfinite(given).all():
-        raise ValueError("attitude, rates, target and disturbance must each be three finite numbers: yaw, roll, pitch")
-    rate = body_rate_rad_s(given[0], given[1])
-    yaw_rate, roll_rate, _ = rate.tolist()
-    exchanged = gains.orbital_rate_rad_s * np.array([-roll_rate, yaw_rate, 0.0])
-    wanted = -gains.stiffness_1_s2 * error_angles_rad(given[0], given[2]) - gains.friction_1_s * rate
-    return np.asarray(gains.inertia_kg_m2 @ (wanted - exchanged) - given[3]) + 0.0
+    rate, error = body_rate_rad_s(attitude_deg, rates_deg_s), error_angles_rad(attitude_deg, target_deg)
+    wanted = np.empty(3)
+    for axis in range(3):
+        wanted[axis] = -gains.stiffness_1_s2 * error[axis] - gains.friction_1_s * rate[axis]
+    wanted[0] += gains.orbital_rate_rad_s * rate[1]
+    wanted[1] -= gains.orbital_rate_rad_s * rate[0]
+    torque = np.empty(3)
+    for axis in range(3):
+        torque[axis] = product_about(gains.inertia_kg_m2, axis, wanted) - disturbance_n_m[axis] + 0.0
+    return torque
+
+
+def product_about(tensor: FloatArray, axis: int, values: FloatArray) -> float:
+    """Return one element of the product of a tensor (3, 3) and values (3,)."""
+    return float(tensor[axis, 0] * values[0] + tensor[axis, 1] * values[1] + tensor[axis, 2] * values[2])
 
 
 class SlewRequest(NamedTuple):
     """Request to `slew_schedule.plan_slew`; (3,) in the order yaw, roll, pitch."""
 
-    angle_change_deg: FloatArray
-    rate_deg_s: FloatArray
+    angle_change_rad: FloatArray
+    rate_rad_s: FloatArray
 
 
-def tracking_request(gains: Gains, attitude_deg: ArrayLike, rates_deg_s: ArrayLike, horizon_s: float) -> SlewRequest:
+def tracking_request(gains: Gains, attitude_deg: FloatArray, rates_deg_s: FloatArray, horizon_s: float) -> SlewRequest:
     """Return the slew that takes a share of the error within a command period.
 
     Parameters
     ----------
     gains : Gains
         Of `quaternion_law.loop_gains`.
-    attitude_deg, rates_deg_s : array_like, shape (3,), deg and deg/s
+    attitude_deg, rates_deg_s : ndarray, shape (3,), deg and deg/s
         Filtered angles and rates.
     horizon_s : float, s
         Command period.
 
-    Raises
-    ------
-    ValueError
-        A number is not finite, or the horizon is not positive.
-
     Examples
     --------
-    >>> from service.core.control.quaternion_law import loop_gains
     >>> inertia = np.diag([2600.0, 1400.0, 2600.0])
     >>> gains = loop_gains(inertia, period_s=7200.0, damping=0.9, torque_limit_n_m=0.05, command_period_s=60.0)
-    >>> tracking_request(gains, [0.0, 0.1, 0.0], [0.0, 0.0, 0.0], 600.0).angle_change_deg.round(4).tolist()
+    >>> request = tracking_request(gains, np.array([0.0, 0.1, 0.0]), np.zeros(3), 600.0)
+    >>> np.degrees(request.angle_change_rad).round(4).tolist()
     [0.0, -0.0252, 0.0]
     """
-    angles_deg, present_deg_s = np.array([attitude_deg, rates_deg_s], dtype=np.float64)
-    if angles_deg.shape != (3,) or not (np.isfinite(angles_deg).all() and np.isfinite(present_deg_s).all()):
-        raise ValueError("attitude and rates must each be three finite numbers: yaw, roll, pitch")
-    if not (math.isfinite(horizon_s) and horizon_s > 0.0):
-        raise ValueError("the horizon must be finite and positive")
-    error_deg = np.degrees(error_angles_rad(angles_deg, np.zeros(3)))
+    change = error_angles_rad(attitude_deg, np.zeros(3))
     share = 1.0 - math.exp(-gains.stiffness_1_s2 / gains.friction_1_s * horizon_s)
-    change_deg = -share * error_deg + 0.0
+    rate = np.empty(3)
+    for axis in range(3):
+        change[axis] = -share * change[axis] + 0.0
+        rate[axis] = math.radians(rates_deg_s[axis])
     # of the present rate, that which holds the spacecraft where it stands turns into that which holds it where it will
     # be
-    yaw_deg, roll_deg, _ = change_deg.tolist()
-    exchanged_deg_s = gains.orbital_rate_rad_s * np.array([-roll_deg, yaw_deg, 0.0])
-    return SlewRequest(change_deg, present_deg_s + exchanged_deg_s)
+    rate[0] -= gains.orbital_rate_rad_s * change[1]
+    rate[1] += gains.orbital_rate_rad_s * change[0]
+    return SlewRequest(change, rate)

@@ -1,81 +1,18 @@
-"""Slews as pairs of pulses, rare pulses for a mean torque, and the envelope of a command."""
+"""Slews as pairs of pulses, rare pulses for a mean torque, and the envelope of a command.
+
+Functions of arrays are compiled as they stand. Pulses are rows of an array (n, 4) there: axis, start, duration, torque.
+"""
 
 import math
-from itertools import pairwise
+from collections.abc import Sequence
 from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from service.core.arrays import BoolArray, FloatArray
+from service.core.control.quaternion_law import inverse_of, product_about
 from service.core.control.wheel_allocation import allocate_to_wheels
-
-
-class PulseTrain(NamedTuple):
-    """One pulse an axis and what stays for the next period."""
-
-    #: (3,) N m, 0 = no pulse on this axis
-    torque_n_m: FloatArray
-    #: (3,) s
-    duration_s: FloatArray
-    #: (3,) N m s, torque times duration
-    impulse_n_m_s: FloatArray
-    #: (3,) N m s, wanted but not yet given
-    carry_n_m_s: FloatArray
-    #: (3,) whether the torque limit cut the wanted impulse
-    is_saturated: BoolArray
-
-
-def shape_pulses(
-    torque_n_m: FloatArray,
-    carry_n_m_s: FloatArray,
-    *,
-    period_s: float,
-    limit_n_m: float,
-    quantum_n_m: float,
-    min_pulse_s: float,
-    time_step_s: float,
-) -> PulseTrain:
-    """Return the pulses that give a mean torque over one command period.
-
-    Parameters
-    ----------
-    torque_n_m : ndarray, shape (3,), N m
-        Wanted mean torque on each axis.
-    carry_n_m_s : ndarray, shape (3,), N m s
-        Impulse left over from earlier periods.
-    period_s : float, s
-        Command period; every pulse ends inside it.
-    limit_n_m : float, N m
-        Greatest torque on an axis.
-    quantum_n_m : float, N m
-        Smallest step of the drive; pulse torques are whole multiples of it.
-    min_pulse_s, time_step_s : float, s
-        Shortest pulse and the grid of durations.
-
-    Returns
-    -------
-    PulseTrain
-        The impulse given plus the new carry equals the wanted impulse plus the old carry wherever nothing saturated;
-        where it did, the carry is zero: a saturated wish is not saved up (no wind-up). A limit below the quantum
-        allows no pulse at all.
-    """
-    wanted = torque_n_m * period_s + carry_n_m_s
-    steps_at_limit = np.floor(limit_n_m / quantum_n_m * (1.0 + 1e-12))
-    longest_s = np.floor(period_s / time_step_s * (1.0 + 1e-12)) * time_step_s
-    # a period shorter than the grid of durations has room for no pulse; its wish is carried on
-    steps = np.ceil(np.abs(wanted) / (quantum_n_m * max(longest_s, time_step_s)))
-    is_saturated = steps > steps_at_limit
-    steps = np.clip(steps, 1.0, max(steps_at_limit, 1.0))
-    ideal_s = np.minimum(np.abs(wanted) / (steps * quantum_n_m), longest_s)
-    duration_s = np.floor(ideal_s / time_step_s * (1.0 + 1e-12)) * time_step_s
-    is_given = (duration_s >= min_pulse_s) & (steps <= steps_at_limit)
-    duration_s = np.where(is_given, duration_s, 0.0)
-    torque = np.where(is_given, np.sign(wanted) * steps * quantum_n_m, 0.0)
-    impulse = torque * duration_s
-    carry = np.where(is_saturated, 0.0, wanted - impulse)
-    return PulseTrain(torque, duration_s, impulse, carry, is_saturated)
-
 
 Triple = tuple[float, float, float]
 
@@ -83,6 +20,8 @@ Triple = tuple[float, float, float]
 LONGEST_SHARE = 0.1
 _ROUNDING = 1e-9
 _AXES = ("yaw", "roll", "pitch")
+#: columns of pulses
+AXIS, START_S, DURATION_S, TORQUE_N_M = 0, 1, 2, 3
 
 
 class Drive(NamedTuple):
@@ -95,10 +34,10 @@ class Drive(NamedTuple):
     #: grid of durations
     time_step_s: float
 
-    @property
-    def steps_at_limit(self) -> int:
-        """Quanta within the limit."""
-        return math.floor(self.limit_n_m / self.quantum_n_m * (1.0 + 1e-12))
+
+def steps_at_limit(drive: Drive) -> int:
+    """Return the quanta within the limit."""
+    return math.floor(drive.limit_n_m / drive.quantum_n_m * (1.0 + 1e-12))
 
 
 class AxisPulse(NamedTuple):
@@ -122,20 +61,64 @@ class AxisPulse(NamedTuple):
         return self.torque_n_m * self.duration_s
 
 
-class Effect(NamedTuple):
-    """Effect of a schedule against no command; triples in the order yaw, roll, pitch."""
+def axis_pulses(pulses: FloatArray) -> tuple[AxisPulse, ...]:
+    """Return rows of pulses (n, 4) by name."""
+    return tuple(AxisPulse(int(axis), *numbers) for axis, *numbers in pulses.tolist())
 
-    impulse_n_m_s: Triple
-    #: sum of the sizes of all pulses: a pair that nulls itself counts lost_rad_s
-    gross_impulse_n_m_s: Triple
-    #: when the horizon ends
-    angle_change_deg: Triple
-    rate_change_deg_s: Triple
-    #: greatest on the way, with sign
-    peak_angle_deg: Triple
-    peak_rate_deg_s: Triple
-    #: (W,) N m s, change of each wheel's momentum
-    wheel_momentum_n_m_s: tuple[float, ...]
+
+class PulseTrain(NamedTuple):
+    """One pulse an axis and what stays for the next period."""
+
+    #: (3,) N m, 0 = no pulse on this axis
+    torque_n_m: FloatArray
+    #: (3,) s
+    duration_s: FloatArray
+    #: (3,) N m s, torque times duration
+    impulse_n_m_s: FloatArray
+    #: (3,) N m s, wanted but not yet given
+    carry_n_m_s: FloatArray
+    #: (3,) whether the torque limit cut the wanted impulse
+    is_saturated: BoolArray
+
+
+def shape_pulses(torque_n_m: FloatArray, carry_n_m_s: FloatArray, period_s: float, drive: Drive) -> PulseTrain:
+    """Return the pulses that give a mean torque over one command period.
+
+    Parameters
+    ----------
+    torque_n_m : ndarray, shape (3,), N m
+        Wanted mean torque on each axis.
+    carry_n_m_s : ndarray, shape (3,), N m s
+        Impulse left over from earlier periods.
+    period_s : float, s
+        Command period; every pulse ends inside it.
+    drive : Drive
+        Limit, quantum, shortest pulse and grid.
+
+    Returns
+    -------
+    PulseTrain
+        The impulse given plus the new carry equals the wanted impulse plus the old carry wherever nothing saturated;
+        where it did, the carry is zero: a saturated wish is not saved up (no wind-up). A limit below the quantum
+        allows no pulse at all.
+    """
+    quantum_n_m, step_s, most = drive.quantum_n_m, drive.time_step_s, steps_at_limit(drive)
+    train = PulseTrain(np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3, np.bool_))
+    longest_s = math.floor(period_s / step_s * (1.0 + 1e-12)) * step_s
+    for axis in range(3):
+        wanted = torque_n_m[axis] * period_s + carry_n_m_s[axis]
+        # a period shorter than the grid of durations has room for no pulse; its wish is carried on
+        steps = math.ceil(abs(wanted) / (quantum_n_m * max(longest_s, step_s)))
+        is_saturated = steps > most
+        steps = min(max(steps, 1), max(most, 1))
+        ideal_s = min(abs(wanted) / (steps * quantum_n_m), longest_s)
+        duration_s = math.floor(ideal_s / step_s * (1.0 + 1e-12)) * step_s
+        if wanted != 0.0 and duration_s >= drive.min_pulse_s and steps <= most:
+            train.torque_n_m[axis], train.duration_s[axis] = math.copysign(steps * quantum_n_m, wanted), duration_s
+            train.impulse_n_m_s[axis] = train.torque_n_m[axis] * duration_s
+        train.carry_n_m_s[axis] = 0.0 if is_saturated else wanted - train.impulse_n_m_s[axis]
+        train.is_saturated[axis] = is_saturated
+    return train
 
 
 def plan_slew(
@@ -167,75 +150,148 @@ def plan_slew(
     ValueError
         A number is not finite, the drive cannot give a pulse, or the time is too short for the torque.
     """
-    change, rate = _finite_triples(angle_change_deg, rate_deg_s)
-    _require_drive(drive, horizon_s)
-    longest_s = LONGEST_SHARE * horizon_s
-    apart_s = horizon_s - longest_s
-    first = _shaped(inertia_kg_m2 @ (change / apart_s - rate), drive, longest_s)
-    given = np.array([torque * duration for torque, duration in first])
-    sailing = rate + np.linalg.solve(inertia_kg_m2, given)
-    second = _shaped(-(inertia_kg_m2 @ sailing), drive, longest_s)
-    pulses: list[AxisPulse] = []
-    for axis in range(3):
-        (torque, duration_s), (_, last_s) = first[axis], second[axis]
-        # what is still to be turned from the middle of the first pulse on, and when that is done
-        left_rad = float(change[axis] - rate[axis] * duration_s / 2.0)
-        middle_s = (duration_s + last_s) / 2.0
-        reached_s = left_rad / float(sailing[axis]) if sailing[axis] else 0.0
-        between_s = min(max(reached_s, middle_s), horizon_s - middle_s)
-        if duration_s:
-            pulses.append(AxisPulse(axis, 0.0, duration_s, torque))
-        if last_s:
-            pulses.append(AxisPulse(axis, between_s + (duration_s - last_s) / 2.0, last_s, second[axis][0]))
-    return tuple(sorted(pulses, key=lambda pulse: (pulse.start_s, pulse.axis)))
-
-
-def _finite_triples(change_deg: ArrayLike, rate_deg_s: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Return both in rad; refused where one is not three finite numbers."""
-    change, rate = np.asarray(change_deg, dtype=np.float64), np.asarray(rate_deg_s, dtype=np.float64)
+    change, rate = np.asarray(angle_change_deg, dtype=np.float64), np.asarray(rate_deg_s, dtype=np.float64)
     if change.shape != (3,) or rate.shape != (3,) or not (np.isfinite(change).all() and np.isfinite(rate).all()):
         raise ValueError("angle change and rate must be three finite numbers each: yaw, roll, pitch")
-    return np.radians(change), np.radians(rate)
-
-
-def _require_drive(drive: Drive, horizon_s: float) -> None:
-    """Refuse a drive that cannot give a pulse within the horizon."""
     if not all(math.isfinite(each) and each > 0.0 for each in (*drive, horizon_s)):
         raise ValueError("limit, quantum, shortest pulse, grid and horizon must be finite and positive")
-    if drive.steps_at_limit < 1:
+    if steps_at_limit(drive) < 1:
         raise ValueError(f"the quantum {drive.quantum_n_m:g} N m exceeds the torque limit {drive.limit_n_m:g} N m")
-    if drive.min_pulse_s > LONGEST_SHARE * horizon_s:
+    if not is_slew_possible(drive, horizon_s):
         raise ValueError(f"{horizon_s:g} s have no room for two pulses of at least {drive.min_pulse_s:g} s")
+    inverse, pulses = inverse_of(inertia_kg_m2), np.zeros((6, 4))
+    count = write_slew(pulses, np.radians(change), np.radians(rate), inertia_kg_m2, inverse, horizon_s, drive)
+    if count < 0:
+        axis, _, longest_s, wanted = pulses[0].tolist()
+        raise ValueError(
+            f"about {_AXES[int(axis)]} {wanted:.3g} N m s within {longest_s:g} s exceed the torque limit "
+            f"{drive.limit_n_m:g} N m; allow the slew more time"
+        )
+    return axis_pulses(pulses[:count])
 
 
-def _shaped(impulse_n_m_s: FloatArray, drive: Drive, longest_s: float) -> list[tuple[float, float]]:
-    """Return torque and duration of the pulse on each axis, zeros where it would be below the shortest one."""
-    shaped = []
-    for axis, wanted in enumerate(impulse_n_m_s.tolist()):
-        steps = max(1, math.ceil(abs(wanted) / (drive.quantum_n_m * longest_s) - _ROUNDING))
-        if steps > drive.steps_at_limit:
-            raise ValueError(
-                f"about {_AXES[axis]} {abs(wanted):.3g} N m s within {longest_s:g} s exceed the torque limit "
-                f"{drive.limit_n_m:g} N m; allow the slew more time"
-            )
-        torque = math.copysign(steps * drive.quantum_n_m, wanted)
-        ticks = round(abs(wanted) / abs(torque) / drive.time_step_s)
-        duration_s = ticks * drive.time_step_s
-        # half of the shortest pulse is nearer to it than to nothing
-        if drive.min_pulse_s / 2.0 <= duration_s < drive.min_pulse_s:
-            duration_s = math.ceil(drive.min_pulse_s / drive.time_step_s - _ROUNDING) * drive.time_step_s
-        shaped.append((torque, duration_s) if duration_s >= drive.min_pulse_s else (0.0, 0.0))
-    return shaped
+def is_slew_possible(drive: Drive, horizon_s: float) -> bool:
+    """Return whether the drive can give two pulses within a time; no number that is not finite or not positive can."""
+    least = min(drive.limit_n_m, drive.quantum_n_m, drive.min_pulse_s, drive.time_step_s, horizon_s)
+    if not (least > 0.0 and math.isfinite(drive.limit_n_m) and math.isfinite(horizon_s)):
+        return False
+    return steps_at_limit(drive) >= 1 and drive.min_pulse_s <= LONGEST_SHARE * horizon_s
+
+
+def write_slew(
+    pulses: FloatArray,
+    change_rad: FloatArray,
+    rate_rad_s: FloatArray,
+    inertia_kg_m2: FloatArray,
+    inverse_1_kg_m2: FloatArray,
+    horizon_s: float,
+    drive: Drive,
+) -> int:
+    """Write the pulses of `plan_slew`, at most six, and return how many.
+
+    -1: the torque limit is exceeded about the axis of the first row, whose other numbers are the longest duration and
+    the wanted impulse.
+    """
+    longest_s = LONGEST_SHARE * horizon_s
+    apart_s = horizon_s - longest_s
+    # torque and duration of the first and of the second pulse, by axis
+    pairs = np.zeros((2, 3, 2))
+    turn, given = np.empty(3), np.zeros(3)
+    for second in range(2):
+        for axis in range(3):
+            sailing = rate_rad_s[axis] + product_about(inverse_1_kg_m2, axis, given)
+            turn[axis] = (0.0 if second else change_rad[axis] / apart_s) - sailing
+        for axis in range(3):
+            wanted = product_about(inertia_kg_m2, axis, turn)
+            if not _shape(pairs[second, axis], wanted, drive, longest_s):
+                put_pulse(pulses, 0, axis, 0.0, longest_s, abs(wanted))
+                return -1
+        for axis in range(3):
+            given[axis] = pairs[second, axis, 0] * pairs[second, axis, 1]
+    count = 0
+    for axis in range(3):
+        duration_s, last_s, sailing = pairs[0, axis, 1], pairs[1, axis, 1], -turn[axis]
+        # what is still to be turned from the middle of the first pulse on, and when that is done
+        left_rad = change_rad[axis] - rate_rad_s[axis] * duration_s / 2.0
+        middle_s = (duration_s + last_s) / 2.0
+        reached_s = left_rad / sailing if sailing != 0.0 else 0.0
+        start_s = min(max(reached_s, middle_s), horizon_s - middle_s) + (duration_s - last_s) / 2.0
+        count = put_pulse(pulses, count, axis, 0.0, duration_s, pairs[0, axis, 0])
+        count = put_pulse(pulses, count, axis, start_s, last_s, pairs[1, axis, 0])
+    sort_pulses(pulses, count)
+    return count
+
+
+def _shape(pulse: FloatArray, wanted_n_m_s: float, drive: Drive, longest_s: float) -> bool:
+    """Write torque and duration of the pulse of an impulse, zeros where it would be below the shortest one.
+
+    False: it exceeds the torque limit.
+    """
+    size = abs(wanted_n_m_s)
+    steps = max(1, math.ceil(size / (drive.quantum_n_m * longest_s) - _ROUNDING))
+    if steps > steps_at_limit(drive):
+        return False
+    torque = steps * drive.quantum_n_m
+    duration_s = round(size / torque / drive.time_step_s) * drive.time_step_s
+    # half of the shortest pulse is nearer to it than to nothing
+    if drive.min_pulse_s / 2.0 <= duration_s < drive.min_pulse_s:
+        duration_s = math.ceil(drive.min_pulse_s / drive.time_step_s - _ROUNDING) * drive.time_step_s
+    if duration_s >= drive.min_pulse_s:
+        pulse[0], pulse[1] = math.copysign(torque, wanted_n_m_s), duration_s
+    return True
+
+
+def put_pulse(pulses: FloatArray, count: int, axis: int, start_s: float, duration_s: float, torque_n_m: float) -> int:
+    """Write a pulse, if it lasts, behind some others and return how many there are now."""
+    pulses[count, AXIS], pulses[count, START_S] = axis, start_s
+    pulses[count, DURATION_S], pulses[count, TORQUE_N_M] = duration_s, torque_n_m
+    return count + 1 if duration_s > 0.0 else count
+
+
+def copy_pulse(pulses: FloatArray, count: int, number: int) -> int:
+    """Write one of some pulses again behind the first of them and return how many these are now."""
+    for column in range(4):
+        pulses[count, column] = pulses[number, column]
+    return count + 1
+
+
+def sort_pulses(pulses: FloatArray, count: int) -> None:
+    """Put the first pulses in order of their beginnings, of one instant in order of axes."""
+    for number in range(1, count):
+        at = number
+        while at > 0 and (
+            pulses[at, START_S] < pulses[at - 1, START_S]
+            or (pulses[at, START_S] == pulses[at - 1, START_S] and pulses[at, AXIS] < pulses[at - 1, AXIS])
+        ):
+            for column in range(4):
+                pulses[at, column], pulses[at - 1, column] = pulses[at - 1, column], pulses[at, column]
+            at -= 1
+
+
+class Effect(NamedTuple):
+    """Effect of a schedule against no command; triples in the order yaw, roll, pitch."""
+
+    impulse_n_m_s: Triple
+    #: sum of the sizes of all pulses: a pair that nulls itself counts lost_rad_s
+    gross_impulse_n_m_s: Triple
+    #: when the horizon ends
+    angle_change_deg: Triple
+    rate_change_deg_s: Triple
+    #: greatest on the way, with sign
+    peak_angle_deg: Triple
+    peak_rate_deg_s: Triple
+    #: (W,) N m s, change of each wheel's momentum
+    wheel_momentum_n_m_s: tuple[float, ...]
 
 
 def predicted_effect(
-    pulses: tuple[AxisPulse, ...], inertia_kg_m2: FloatArray, wheel_axes: FloatArray, horizon_s: float
+    pulses: Sequence[AxisPulse], inertia_kg_m2: FloatArray, wheel_axes: FloatArray, horizon_s: float
 ) -> Effect:
     """Return the effect of a schedule on angles, rates and wheels.
 
     Parameters
     ----------
-    pulses : tuple of AxisPulse
+    pulses : sequence of AxisPulse
         In any order; those about one axis must not overlap.
     inertia_kg_m2 : ndarray, shape (3, 3), kg m^2
         Tensor in the order yaw, roll, pitch.
@@ -254,60 +310,76 @@ def predicted_effect(
     Exact for a rigid body at small angles; the exchange of roll and yaw at the orbital rate is left out (at 1e-2 of
     the angle in half an hour it belongs to the filter, not to the command).
     """
-    _require_schedule(pulses, horizon_s)
-    motion = _motion(pulses, inertia_kg_m2, [0.0, horizon_s])
-    peaks = np.concatenate([motion.angle_rad, _turning_points(motion)])
+    rows, inverse = _schedule(pulses, horizon_s), inverse_of(inertia_kg_m2)
+    motion = schedule_motion(rows, inverse, np.array([0.0, horizon_s]))
+    angle, rate = greatest(motion)
     impulse, gross = np.zeros(3), np.zeros(3)
     for pulse in pulses:
         impulse[pulse.axis] += pulse.impulse_n_m_s
         gross[pulse.axis] += abs(pulse.impulse_n_m_s)
-    columns = np.arange(3)
     return Effect(
-        impulse_n_m_s=triple_of(impulse),
-        gross_impulse_n_m_s=triple_of(gross),
-        angle_change_deg=triple_of(np.degrees(motion.angle_rad[-1])),
-        rate_change_deg_s=triple_of(np.degrees(np.linalg.solve(inertia_kg_m2, impulse))),
-        peak_angle_deg=triple_of(np.degrees(peaks[np.abs(peaks).argmax(axis=0), columns])),
-        peak_rate_deg_s=triple_of(np.degrees(motion.rate_rad_s[np.abs(motion.rate_rad_s).argmax(axis=0), columns])),
+        impulse_n_m_s=_triple(impulse),
+        gross_impulse_n_m_s=_triple(gross),
+        angle_change_deg=_triple(np.degrees(motion.angle_rad[-1])),
+        rate_change_deg_s=_triple(np.degrees(inverse @ impulse)),
+        peak_angle_deg=_triple(np.degrees(angle)),
+        peak_rate_deg_s=_triple(np.degrees(rate)),
         wheel_momentum_n_m_s=tuple(allocate_to_wheels(wheel_axes, impulse).tolist()),
     )
 
 
 def predicted_angles(
-    pulses: tuple[AxisPulse, ...], inertia_kg_m2: FloatArray, horizon_s: float, count: int
+    pulses: Sequence[AxisPulse], inertia_kg_m2: FloatArray, horizon_s: float, count: int
 ) -> tuple[FloatArray, FloatArray]:
     """Return instants (count,), s, evenly until the horizon, and the change of the angles there (count, 3), deg.
 
     Parameters and exceptions are those of `predicted_effect`, whose change of the angles stands at the end.
     """
-    _require_schedule(pulses, horizon_s)
     instants_s: FloatArray = np.linspace(0.0, horizon_s, count)
-    motion = _motion(pulses, inertia_kg_m2, instants_s.tolist())
+    motion = schedule_motion(_schedule(pulses, horizon_s), inverse_of(inertia_kg_m2), instants_s)
     return instants_s, np.degrees(motion.angle_rad[np.searchsorted(motion.at_s, instants_s)])
 
 
-def triple_of(values: FloatArray) -> Triple:
+def _triple(values: FloatArray) -> Triple:
     """Return an array (3,) as a tuple of plain numbers."""
     yaw, roll, pitch = values.tolist()
     return yaw, roll, pitch
 
 
-def _require_schedule(pulses: tuple[AxisPulse, ...], horizon_s: float) -> None:
-    """Refuse pulses that overlap or that do not lie within the horizon."""
-    numbers = [horizon_s, *(number for pulse in pulses for number in pulse[1:])]
-    if not all(math.isfinite(number) for number in numbers):
+def _schedule(pulses: Sequence[AxisPulse], horizon_s: float) -> FloatArray:
+    """Return pulses as rows in order; refused where they overlap or do not lie within the horizon."""
+    rows = np.array(sorted(pulses, key=lambda pulse: (pulse.start_s, pulse.axis)), dtype=np.float64).reshape(-1, 4)
+    if not (np.isfinite(rows).all() and math.isfinite(horizon_s)):
         raise ValueError("pulses and horizon must be finite")
-    if any(pulse.start_s < 0.0 or pulse.duration_s <= 0.0 for pulse in pulses):
+    if (rows[:, START_S] < 0.0).any() or (rows[:, DURATION_S] <= 0.0).any():
         raise ValueError("a pulse begins before the schedule or does not last")
-    if max((pulse.stop_s for pulse in pulses), default=0.0) > horizon_s * (1.0 + _ROUNDING):
+    if last_stop_s(rows, 0.0) > horizon_s * (1.0 + _ROUNDING):
         raise ValueError(f"a pulse ends after the horizon of {horizon_s:g} s")
-    for axis in range(3):
-        own = sorted((pulse for pulse in pulses if pulse.axis == axis), key=lambda pulse: pulse.start_s)
-        if any(latter.start_s < former.stop_s * (1.0 - _ROUNDING) for former, latter in pairwise(own)):
-            raise ValueError(f"two pulses about {_AXES[axis]} overlap")
+    axis = overlapping_axis(rows)
+    if axis >= 0:
+        raise ValueError(f"two pulses about {_AXES[axis]} overlap")
+    return rows
 
 
-class _Motion(NamedTuple):
+def last_stop_s(pulses: FloatArray, least_s: float) -> float:
+    """Return when the last of pulses (n, 4) has ended, not before another instant."""
+    for number in range(len(pulses)):
+        least_s = max(least_s, pulses[number, START_S] + pulses[number, DURATION_S])
+    return least_s
+
+
+def overlapping_axis(pulses: FloatArray) -> int:
+    """Return the axis of a pulse, of some in order, that begins before another about it has ended; -1: none."""
+    stop_s = np.zeros(3)
+    for number in range(len(pulses)):
+        axis, start_s = int(pulses[number, AXIS]), pulses[number, START_S]
+        if start_s < stop_s[axis] * (1.0 - _ROUNDING):
+            return axis
+        stop_s[axis] = start_s + pulses[number, DURATION_S]
+    return -1
+
+
+class ScheduleMotion(NamedTuple):
     """Motion that pulses bring about, at K instants in order."""
 
     #: (K,) from the beginning of the schedule
@@ -317,28 +389,64 @@ class _Motion(NamedTuple):
     rate_rad_s: FloatArray
 
 
-def _motion(pulses: tuple[AxisPulse, ...], inertia_kg_m2: FloatArray, instants_s: list[float]) -> _Motion:
+def schedule_motion(pulses: FloatArray, inverse_1_kg_m2: FloatArray, instants_s: FloatArray) -> ScheduleMotion:
     """Return the motion from rest at some instants, the last of them the horizon, and at every edge of a pulse."""
-    edges_s = (edge for pulse in pulses for edge in (pulse.start_s, min(pulse.stop_s, instants_s[-1])))
-    at_s = np.array(sorted({*instants_s, *edges_s}))
-    middle_s, step_s = 0.5 * (at_s[:-1] + at_s[1:]), np.diff(at_s)[:, None]
-    torque = np.zeros((len(middle_s), 3))
-    for pulse in pulses:
-        torque[(pulse.start_s <= middle_s) & (middle_s < pulse.stop_s), pulse.axis] += pulse.torque_n_m
-    rate, angle = np.zeros((2, len(at_s), 3))
-    rate[1:] = np.cumsum(np.linalg.solve(inertia_kg_m2, torque.T).T * step_s, axis=0)
-    angle[1:] = np.cumsum(0.5 * (rate[:-1] + rate[1:]) * step_s, axis=0)
-    return _Motion(at_s, angle, rate)
+    at_s, count = np.empty(len(instants_s) + 2 * len(pulses)), 0
+    for number in range(len(instants_s)):
+        count = _insert(at_s, count, instants_s[number])
+    for number in range(len(pulses)):
+        count = _insert(at_s, count, pulses[number, START_S])
+        stop_s = pulses[number, START_S] + pulses[number, DURATION_S]
+        count = _insert(at_s, count, min(stop_s, instants_s[-1]))
+    rate, angle, torque = np.zeros((count, 3)), np.zeros((count, 3)), np.empty(3)
+    for k in range(1, count):
+        middle_s, step_s = 0.5 * (at_s[k - 1] + at_s[k]), at_s[k] - at_s[k - 1]
+        torque[0], torque[1], torque[2] = 0.0, 0.0, 0.0
+        for number in range(len(pulses)):
+            start_s = pulses[number, START_S]
+            if start_s <= middle_s < start_s + pulses[number, DURATION_S]:
+                torque[int(pulses[number, AXIS])] += pulses[number, TORQUE_N_M]
+        for axis in range(3):
+            rate[k, axis] = rate[k - 1, axis] + product_about(inverse_1_kg_m2, axis, torque) * step_s
+            angle[k, axis] = angle[k - 1, axis] + 0.5 * (rate[k - 1, axis] + rate[k, axis]) * step_s
+    return ScheduleMotion(at_s[:count], angle, rate)
 
 
-def _turning_points(motion: _Motion) -> FloatArray:
-    """Return the angle (K - 1, 3) at which each axis turns back between two instants; where it does not, the first."""
-    before, after = motion.rate_rad_s[:-1], motion.rate_rad_s[1:]
-    is_turning = before * after < 0.0
-    # v^2 / 2a further on it turns back
-    lost_rad_s = np.where(is_turning, before - after, 1.0)
-    further: FloatArray = 0.5 * before**2 * np.diff(motion.at_s)[:, None] / lost_rad_s
-    return motion.angle_rad[:-1] + np.where(is_turning, further, 0.0)
+def _insert(at_s: FloatArray, count: int, instant_s: float) -> int:
+    """Put an instant among some in order and return how many there are now."""
+    at = count
+    while at > 0 and at_s[at - 1] > instant_s:
+        at -= 1
+    if at > 0 and at_s[at - 1] == instant_s:
+        return count
+    for number in range(count, at, -1):
+        at_s[number] = at_s[number - 1]
+    at_s[at] = instant_s
+    return count + 1
+
+
+def greatest(motion: ScheduleMotion) -> tuple[FloatArray, FloatArray]:
+    """Return the greatest angle and rate (3,) on the way, with sign; where an axis turns back between two instants too.
+
+    Exact: v^2 / 2a after an instant it turns back.
+    """
+    angle, rate = np.zeros(3), np.zeros(3)
+    for axis in range(3):
+        for k in range(len(motion.at_s)):
+            before = motion.rate_rad_s[k, axis]
+            if abs(before) > abs(rate[axis]):
+                rate[axis] = before
+            if abs(motion.angle_rad[k, axis]) > abs(angle[axis]):
+                angle[axis] = motion.angle_rad[k, axis]
+            if k + 1 == len(motion.at_s):
+                continue
+            after = motion.rate_rad_s[k + 1, axis]
+            if before * after < 0.0:
+                step_s = motion.at_s[k + 1] - motion.at_s[k]
+                turning = motion.angle_rad[k, axis] + 0.5 * before**2 * step_s / (before - after)
+                if abs(turning) > abs(angle[axis]):
+                    angle[axis] = turning
+    return angle, rate
 
 
 class Envelope(NamedTuple):
@@ -353,6 +461,22 @@ class Envelope(NamedTuple):
     def is_within(self, other: "Envelope") -> bool:
         """Return whether no limit is wider than another envelope's, and each is a positive number."""
         return all(0.0 < own <= limit for own, limit in zip(self, other, strict=True))
+
+
+def is_within_envelope(pulses: FloatArray, inverse_1_kg_m2: FloatArray, horizon_s: float, envelope: Envelope) -> bool:
+    """Return whether pulses (n, 4), in order and without an overlap, exceed no limit, nothing sent before them."""
+    angle, rate = greatest(schedule_motion(pulses, inverse_1_kg_m2, np.array((0.0, horizon_s))))
+    gross, wider = np.zeros(3), 1.0 + _ROUNDING
+    for number in range(len(pulses)):
+        gross[int(pulses[number, AXIS])] += abs(pulses[number, TORQUE_N_M] * pulses[number, DURATION_S])
+    for axis in range(3):
+        if not (
+            math.degrees(abs(angle[axis])) <= envelope.angle_change_deg * wider
+            and math.degrees(abs(rate[axis])) <= envelope.rate_change_deg_s * wider
+            and gross[axis] <= min(envelope.impulse_n_m_s, envelope.impulse_an_hour_n_m_s) * wider
+        ):
+            return False
+    return True
 
 
 class Excess(NamedTuple):

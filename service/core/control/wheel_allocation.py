@@ -1,11 +1,13 @@
-"""A body torque shared out to any set of wheels within their limits of torque and momentum."""
+"""A body torque shared out to any set of wheels within their limits of torque and momentum.
+
+Functions of arrays are compiled as they stand.
+"""
 
 import math
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from service.core.arrays import FloatArray
 
@@ -59,17 +61,8 @@ def body_torque_limit_n_m(axes: FloatArray, wheel_limit_n_m: float) -> float:
 
 def _allocation(axes: FloatArray) -> FloatArray:
     """Return the pseudo-inverse (3, W) of the normalised axes."""
-    plain = np.ascontiguousarray(axes, dtype=np.float64)
-    return _pseudo_inverse(len(plain), plain.tobytes())
-
-
-@lru_cache(maxsize=64)
-def _pseudo_inverse(wheels: int, axes: bytes) -> FloatArray:
-    """Return the pseudo-inverse of axes (W, 3) told byte by byte: a set of wheels hardly ever changes; read-only."""
-    rows = np.frombuffer(axes).reshape(wheels, 3)
-    inverse = np.asarray(np.linalg.pinv(rows / np.linalg.norm(rows, axis=1, keepdims=True)), dtype=np.float64)
-    inverse.setflags(write=False)
-    return inverse
+    rows = np.asarray(axes, dtype=np.float64)
+    return np.ascontiguousarray(np.linalg.pinv(rows / np.linalg.norm(rows, axis=1, keepdims=True)))
 
 
 #: least singular value of the unit axes: no direction may need more than twenty times the torque
@@ -83,6 +76,10 @@ class Wheels(NamedTuple):
 
     #: (W, 3) unit axes in the order yaw, roll, pitch
     axes: FloatArray
+    #: (3, W) wheel torques of least norm that give a torque about each body axis, with the other sign
+    inverse: FloatArray
+    #: (W - 3, W) directions of wheel torques that turn nothing
+    null: FloatArray
     torque_limit_n_m: float
     momentum_limit_n_m_s: float
     #: momentum below which a wheel counts as near zero speed; 0 = null motion is not used
@@ -101,14 +98,8 @@ class Allocation(NamedTuple):
     wheels_n_m: FloatArray
     #: (W,) N m, the part that turns nothing
     null_n_m: FloatArray
-    #: (3,) N m, resulting torque on the body: `share` times the requested one
-    torque_n_m: FloatArray
-    #: 1 = all of it
+    #: of the requested torque on the body; 1 = all of it
     share: float
-    #: which wheel cut the share, and by "torque" or "momentum"; None where nothing did
-    limited_by: tuple[int, str] | None
-    #: (W,) N m s after the given time
-    momentum_n_m_s: FloatArray
 
 
 def wheel_set(
@@ -137,7 +128,7 @@ def wheel_set(
     lengths = np.linalg.norm(rows, axis=1)
     if not (lengths > 0.0).all():
         raise ValueError(f"wheel {int(np.argmin(lengths)) + 1} has no direction: its axis is the zero vector")
-    unit = rows / lengths[:, None]
+    unit = np.ascontiguousarray(rows / lengths[:, None])
     values, directions = np.linalg.svd(unit, full_matrices=False)[1:]
     if values[-1] < LEAST_SINGULAR_VALUE:
         weak = ", ".join(f"{name} {part:+.2f}" for name, part in zip(_AXES, directions[-1], strict=True))
@@ -150,22 +141,23 @@ def wheel_set(
         raise ValueError("limits of torque and momentum must be finite and positive")
     if not 0.0 <= least_momentum_n_m_s < momentum_limit_n_m_s:
         raise ValueError("the least momentum must lie between zero and the limit of momentum")
-    return Wheels(unit, *limits, least_momentum_n_m_s)
+    null = np.ascontiguousarray(np.linalg.svd(unit.T)[2][3:])
+    return Wheels(unit, _allocation(unit), null, *map(float, (*limits, least_momentum_n_m_s)))
 
 
 _AXES = ("yaw", "roll", "pitch")
 
 
-def allocate(wheels: Wheels, torque_n_m: ArrayLike, momentum_n_m_s: ArrayLike, duration_s: float) -> Allocation:
+def allocate(wheels: Wheels, torque_n_m: FloatArray, momentum_n_m_s: FloatArray, duration_s: float) -> Allocation:
     """Return the torque of each wheel for a torque on the body.
 
     Parameters
     ----------
     wheels : Wheels
         Of `wheel_set`.
-    torque_n_m : array_like, shape (3,), N m
+    torque_n_m : ndarray, shape (3,), N m
         Wanted torque on the body about yaw, roll, pitch.
-    momentum_n_m_s : array_like, shape (W,), N m s
+    momentum_n_m_s : ndarray, shape (W,), N m s
         Stored momentum at the beginning.
     duration_s : float, s
         How long the torque lasts.
@@ -174,99 +166,102 @@ def allocate(wheels: Wheels, torque_n_m: ArrayLike, momentum_n_m_s: ArrayLike, d
     -------
     Allocation
         A wheel beyond its limit of momentum takes no torque that leads further out, any that leads back.
-
-    Raises
-    ------
-    ValueError
-        A number is not finite, momenta do not fit the wheels, or the duration is not positive.
     """
-    wanted, momentum = np.asarray(torque_n_m, dtype=np.float64), np.asarray(momentum_n_m_s, dtype=np.float64)
-    if wanted.shape != (3,) or momentum.shape != (wheels.size,):
-        raise ValueError(f"three torques and {wheels.size} momenta are needed, one for each wheel")
-    if not (np.isfinite(wanted).all() and np.isfinite(momentum).all() and math.isfinite(duration_s)):
-        raise ValueError("torque, momentum and duration must be finite")
-    if duration_s <= 0.0:
-        raise ValueError("the duration must be positive")
-    least_norm = allocate_to_wheels(wheels.axes, wanted)
-    share, limited_by = _share(wheels, least_norm, momentum, duration_s)
-    given = share * least_norm
-    null = _null_torque(wheels, given, momentum, duration_s)
-    return Allocation(
-        wheels_n_m=given + null,
-        null_n_m=null,
-        torque_n_m=share * wanted,
-        share=share,
-        limited_by=limited_by,
-        momentum_n_m_s=momentum + (given + null) * duration_s,
-    )
+    wheels_n_m, null_n_m, share = np.empty(len(momentum_n_m_s)), np.zeros(len(momentum_n_m_s)), 1.0
+    for k in range(len(wheels_n_m)):
+        wanted = 0.0
+        for axis in range(3):
+            wanted -= torque_n_m[axis] * wheels.inverse[axis, k]
+        wheels_n_m[k] = wanted
+        room = _room(wheels, momentum_n_m_s[k], math.copysign(1.0, wanted), duration_s)
+        bound = min(room, wheels.torque_limit_n_m)
+        if abs(wanted) > bound:
+            share = min(share, bound / abs(wanted))
+    is_slow = False
+    for k in range(len(wheels_n_m)):
+        wheels_n_m[k] = share * wheels_n_m[k] + 0.0
+        is_slow |= abs(momentum_n_m_s[k] + wheels_n_m[k] * duration_s) < wheels.least_momentum_n_m_s
+    if is_slow and len(wheels.null):
+        _write_null_torque(null_n_m, wheels, wheels_n_m, momentum_n_m_s, duration_s)
+        for k in range(len(wheels_n_m)):
+            wheels_n_m[k] += null_n_m[k]
+    return Allocation(wheels_n_m, null_n_m, share)
 
 
-def _room(wheels: Wheels, momentum: FloatArray, duration_s: float) -> tuple[FloatArray, FloatArray]:
-    """Return the least and greatest torque (W,) that the momentum of each wheel still allows, zero always included."""
-    limit = wheels.momentum_limit_n_m_s
-    return np.minimum(0.0, (-limit - momentum) / duration_s), np.maximum(0.0, (limit - momentum) / duration_s)
+def _room(wheels: Wheels, momentum_n_m_s: float, sign: float, duration_s: float) -> float:
+    """Return the greatest torque of a sign that the momentum of a wheel still allows."""
+    return max(0.0, (wheels.momentum_limit_n_m_s - sign * momentum_n_m_s) / duration_s)
 
 
-def _share(
-    wheels: Wheels, torque: FloatArray, momentum: FloatArray, duration_s: float
-) -> tuple[float, tuple[int, str] | None]:
-    """Return the greatest share of the wheel torques (W,) that keeps to every limit, and what set it."""
-    lower, upper = _room(wheels, momentum, duration_s)
-    share, limited_by = 1.0, None
-    for k, each in enumerate(torque.tolist()):
-        room = float(upper[k] if each > 0.0 else -lower[k])
-        for bound, name in ((wheels.torque_limit_n_m, "torque"), (room, "momentum")):
-            if abs(each) > bound and bound / abs(each) < share:
-                share, limited_by = bound / abs(each), (k, name)
-    return share, limited_by
+def _write_null_torque(
+    null_n_m: FloatArray, wheels: Wheels, given_n_m: FloatArray, momentum_n_m_s: FloatArray, duration_s: float
+) -> None:
+    """Write the null motion that keeps wheels away from zero speed, within the room that is left; zeros: none does.
 
-
-def _null_torque(wheels: Wheels, given: FloatArray, momentum: FloatArray, duration_s: float) -> FloatArray:
-    """Return the null motion (W,) that keeps wheels away from zero speed, within the room that is left."""
-    ending = momentum + given * duration_s
-    nothing = np.zeros(wheels.size)
-    is_slow = np.abs(ending) < wheels.least_momentum_n_m_s
-    if wheels.size == 3 or not is_slow.any():
-        return nothing
-    shift = _null_shift(wheels, ending, is_slow)
-    if shift is None:
-        return nothing
-    torque = shift / duration_s
-    lower, upper = _room(wheels, momentum, duration_s)
-    lower = np.maximum(lower, -wheels.torque_limit_n_m) - given
-    upper = np.minimum(upper, wheels.torque_limit_n_m) - given
-    moved = np.abs(torque) > 0.0
-    room = np.where(torque > 0.0, upper, lower)[moved] / torque[moved]
-    return np.asarray(torque * max(0.0, min(1.0, float(room.min()))))
-
-
-def _null_shift(wheels: Wheels, momentum: FloatArray, is_slow: NDArray[np.bool_]) -> FloatArray | None:
-    """Return the smallest change of momentum (W,) along one null direction after which no wheel is slow.
-
-    Directions tried: slow wheels pushed on, each the way it turns, projected; then each direction of the null space.
-    None where none of them helps.
+    Of some null directions the one with the smallest change of momentum after which no wheel is slow. Tried are: slow
+    wheels pushed on, each the way it turns, projected; then each direction of the null space.
     """
-    basis = np.linalg.svd(wheels.axes.T)[2][3:]
-    onward = np.where(is_slow, np.where(momentum >= 0.0, 1.0, -1.0), 0.0)
-    candidates = [basis.T @ (basis @ onward), *basis]
-    shifts = [_along(wheels, momentum, direction) for direction in candidates]
-    found = [shift for shift in shifts if shift is not None]
-    return min(found, key=lambda shift: float(np.linalg.norm(shift)), default=None)
+    size, smallest, share = len(null_n_m), math.inf, 1.0
+    ending, direction = np.empty(size), np.empty(size)
+    for k in range(size):
+        ending[k] = momentum_n_m_s[k] + given_n_m[k] * duration_s
+    for candidate in range(1 + len(wheels.null)):
+        _write_direction(direction, wheels, ending, candidate)
+        step = _step_along(wheels, ending, direction)
+        if abs(step) < smallest:
+            smallest = abs(step)
+            for k in range(size):
+                null_n_m[k] = step * direction[k] / duration_s
+    for k in range(size):
+        if abs(null_n_m[k]) > 0.0:
+            sign = math.copysign(1.0, null_n_m[k])
+            room = min(_room(wheels, momentum_n_m_s[k], sign, duration_s), wheels.torque_limit_n_m)
+            share = min(share, (room - sign * given_n_m[k]) / abs(null_n_m[k]))
+    for k in range(size):
+        null_n_m[k] *= max(0.0, share)
 
 
-def _along(wheels: Wheels, momentum: FloatArray, direction: FloatArray) -> FloatArray | None:
-    """Return the smallest step along a direction after which every wheel is neither slow nor beyond its limit."""
-    length = float(np.linalg.norm(direction))
-    if length < _STILL:
-        return None
-    unit = direction / length
-    least, limit = wheels.least_momentum_n_m_s, wheels.momentum_limit_n_m_s
-    moving = np.abs(unit) > _STILL
-    edges = [((edge - momentum[moving]) / unit[moving]) for edge in (least, -least)]
-    steps = sorted(np.concatenate(edges).tolist(), key=abs)
-    for step in steps:
-        size = np.abs(momentum + step * unit)
+def _write_direction(direction: FloatArray, wheels: Wheels, momentum_n_m_s: FloatArray, candidate: int) -> None:
+    """Write the null direction (W,) that is tried at some place, the projected one first."""
+    for k in range(len(direction)):
+        direction[k] = 0.0
+    for row in range(len(wheels.null)):
+        along = 1.0 if row == candidate - 1 else 0.0
+        for k in range(len(direction)):
+            if candidate == 0 and abs(momentum_n_m_s[k]) < wheels.least_momentum_n_m_s:
+                along += wheels.null[row, k] if momentum_n_m_s[k] >= 0.0 else -wheels.null[row, k]
+        for k in range(len(direction)):
+            direction[k] += along * wheels.null[row, k]
+
+
+def _step_along(wheels: Wheels, momentum_n_m_s: FloatArray, direction: FloatArray) -> float:
+    """Return the smallest step along a direction after which every wheel is neither slow nor beyond its limit.
+
+    The direction is made a unit vector; infinity: there is no such step.
+    """
+    square, smallest = 0.0, math.inf
+    for k in range(len(direction)):
+        square += direction[k] ** 2
+    if square < _STILL**2:
+        return smallest
+    for k in range(len(direction)):
+        direction[k] /= math.sqrt(square)
+    for side in range(2):
+        edge = -wheels.least_momentum_n_m_s if side else wheels.least_momentum_n_m_s
+        for k in range(len(direction)):
+            step = (edge - momentum_n_m_s[k]) / direction[k] if abs(direction[k]) > _STILL else math.inf
+            if abs(step) < abs(smallest) and _are_clear(wheels, momentum_n_m_s, step, direction):
+                smallest = step
+    return smallest
+
+
+def _are_clear(wheels: Wheels, momentum_n_m_s: FloatArray, step: float, direction: FloatArray) -> bool:
+    """Return whether no wheel is slow or beyond its limit after a step."""
+    for k in range(len(direction)):
+        size = abs(momentum_n_m_s[k] + step * direction[k])
         # an edge itself counts as away from zero, but for rounding
-        if (size >= least * (1.0 - 1e-9)).all() and (size <= np.maximum(limit, np.abs(momentum))).all():
-            return np.asarray(step * unit)
-    return None
+        if size < wheels.least_momentum_n_m_s * (1.0 - 1e-9):
+            return False
+        if size > max(wheels.momentum_limit_n_m_s, abs(momentum_n_m_s[k])):
+            return False
+    return True

@@ -8,10 +8,11 @@ fix in a fade, so its rows cannot contradict, and `hold_h` alone ends its balanc
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
-from service.core.control.quaternion_law import inertia_about_angles
+from service.core.control.quaternion_law import inertia_about_angles, inverse_of
 from service.pipeline.estimation.row_inhibitions import BALANCED
 from service.records.catalogue import Spacecraft
 from service.records.epoch import US_PER_S
@@ -59,7 +60,7 @@ def basis_at(basis: BalanceBasis, row: AttitudeRow, spacecraft: Spacecraft, hold
     apart_deg = np.abs(np.array(row.steered_deg) - predicted_deg(basis, row.epoch_us, spacecraft))
     variance_deg2 = np.square(basis.sigma_deg) + np.square(row.steered_sigma_deg)
     if basis.disturbance is not None:
-        turned_deg = np.degrees(_over_inertia(np.array(basis.disturbance.sigma_n_m), spacecraft)) * 0.5 * ahead_s**2
+        turned_deg = np.degrees(_inverse_1_kg_m2(spacecraft) @ basis.disturbance.sigma_n_m) * 0.5 * ahead_s**2
         variance_deg2 = variance_deg2 + turned_deg**2
     # an angle that is not known contradicts nothing
     return None if (apart_deg > _SIGMAS * np.sqrt(variance_deg2)).any() else basis
@@ -77,7 +78,7 @@ def predicted_deg(basis: BalanceBasis, at_us: int, spacecraft: Spacecraft) -> Fl
             turning_s = min(ahead_s, (at_us - pulse.start_us) / US_PER_S - 0.5 * lasting_s)
             moment = moment + np.array(pulse.torque_n_m) * lasting_s * turning_s
     drift_deg = np.array(basis.rates_deg_s) * ahead_s
-    return np.array(basis.attitude_deg) + drift_deg + np.degrees(_over_inertia(moment, spacecraft))
+    return np.array(basis.attitude_deg) + drift_deg + np.degrees(_inverse_1_kg_m2(spacecraft) @ moment)
 
 
 def balance_axes(inhibitions: tuple[str, ...], basis: BalanceBasis | None) -> tuple[bool, bool, bool]:
@@ -99,7 +100,7 @@ def balance_row(row: AttitudeRow, axes: tuple[bool, bool, bool]) -> AttitudeRow:
     )
 
 
-def _over_inertia(torque: FloatArray, spacecraft: Spacecraft) -> FloatArray:
-    """Return a torque, or its integral over time, divided by the tensor of inertia."""
-    inertia = inertia_about_angles(np.array(spacecraft.inertia_kg_m2))
-    return np.asarray(np.linalg.solve(inertia, torque), dtype=np.float64)
+@lru_cache(maxsize=64)
+def _inverse_1_kg_m2(spacecraft: Spacecraft) -> FloatArray:
+    """Return the inverse (3, 3) of the tensor of inertia; the catalogue hardly ever changes."""
+    return inverse_of(inertia_about_angles(np.array(spacecraft.inertia_kg_m2)))

@@ -9,25 +9,25 @@ is not given after it. Where the inhibition doubts only the angles of the presen
 was learned before them.
 """
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from service.core.control.command_plan import Forecast, PlannedPulses, Situation, plan_command
-from service.core.control.slew_schedule import AxisPulse, Envelope, envelope_excesses, predicted_effect
-from service.core.control.wheel_allocation import Allocation, Wheels, allocate
+from service.core.control.command_plan import Horizon, KnownTorque, Situation, compiled_allocation, compiled_plan
+from service.core.control.slew_schedule import Envelope
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.balance import balance_axes, balance_row
 from service.pipeline.control.command.control_design import (
+    NOTHING,
     ControlDesign,
     Span,
     command_of,
     control_design,
     control_inhibitions,
-    impulse_of,
     is_gyro_orbitant,
     mean_pulses,
-    predicted,
     zero_command,
 )
 from service.pipeline.control.command.schedule_check import PanelSwing, schedule_verdict
@@ -35,14 +35,11 @@ from service.records.catalogue import Release, Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import AttitudeRow, Axes, BalanceBasis, Disturbance, FloatArray, TorqueCommand
 
-NO_CARRY = np.zeros(3)
+NO_CARRY = NOTHING
 _ENVELOPE = Envelope()
-#: shares of the envelope to plan with where rounded pulses pass a limit; the last one leaves no pulse
-_SMALLER_SHARES = (0.7, 0.4, 0.0)
 
 
-@dataclass(frozen=True)
-class TorqueOutcome:
+class TorqueOutcome(NamedTuple):
     """A command and the impulse that it leaves for later."""
 
     command: TorqueCommand
@@ -100,15 +97,13 @@ def compute_command(
         if not any(axes) or is_automatic or is_gyro_orbitant(spacecraft):
             return TorqueOutcome(zero_command(row, spacecraft, span, inhibitions), NO_CARRY)
         used = balance_row(row, axes)
+    given = config, disturbance, momentum_n_m_s, body_rate_deg_s
     if spacecraft.control.release is Release.AUTOMATIC:
-        outcome = _mean_command(
-            used, spacecraft, span, carry_n_m_s, config, disturbance, momentum_n_m_s, body_rate_deg_s
-        )
+        command, carry_n_m_s = _mean_command(used, spacecraft, span, carry_n_m_s, *given)
     else:
-        command = _released_command(used, spacecraft, span, None, config, disturbance, momentum_n_m_s, body_rate_deg_s)
-        outcome = TorqueOutcome(command, NO_CARRY)
-    command = _checked(outcome.command, spacecraft, config, swing)
-    return replace(outcome, command=_as_balance(command, inhibitions, axes) if inhibitions else command)
+        command, carry_n_m_s = _released_command(used, spacecraft, span, None, *given), NO_CARRY
+    command = _checked(command, spacecraft, config, swing)
+    return TorqueOutcome(_as_balance(command, inhibitions, axes) if inhibitions else command, carry_n_m_s)
 
 
 def _checked(
@@ -177,7 +172,7 @@ def command_for(
         ``command_period_s`` is the horizon that the envelope has room for; zero with the reasons where the row or the
         settings forbid control.
     """
-    span = Span(start_us, duration_s, envelope)
+    span = Span(start_us, float(duration_s), Envelope(*map(float, envelope)))
     used = row if balance is None else balance_row(row, balance)
     inhibitions = control_inhibitions(used, spacecraft, body_rate_deg_s=body_rate_deg_s)
     if inhibitions:
@@ -241,25 +236,23 @@ def _forecast_command(
     """Return the command of a slew and of what balances the known torque after it."""
     try:
         design = _design(spacecraft, config, max_torque_n_m)
-        situation = _situation_at(row, span.epoch_us, design, disturbance)
-        forecast = _forecast(spacecraft, span, config, disturbance)
-        limits = (
-            Envelope(*(share * limit for limit in span.envelope)) for share in (config.envelope_share, *_SMALLER_SHARES)
+        horizon = _horizon(spacecraft, span, config)
+        plan = compiled_plan(
+            design.gains,
+            design.drive,
+            _situation(row, span.epoch_us),
+            _known_torque(disturbance, span.epoch_us),
+            horizon,
+            span.envelope,
+            config.envelope_share,
         )
-        plans = (plan_command(design.gains, design.drive, situation, forecast, each) for each in limits)
-        plan = next(each for each in plans if _is_within(each, forecast.least_horizon_s, design, span.envelope))
     except ValueError:
         return zero_command(row, spacecraft, span, ("no_law",))
-    if not forecast.least_horizon_s:
+    if math.isnan(plan.horizon_s):
+        return zero_command(row, spacecraft, span, ("no_law",))
+    if not horizon.least_s:
         span = span._replace(period_s=plan.horizon_s)
     return _allocated(row, spacecraft, span, plan.pulses, design, momentum_n_m_s, is_cut=plan.is_shortened)
-
-
-def _is_within(plan: PlannedPulses, least_horizon_s: float, design: ControlDesign, envelope: Envelope) -> bool:
-    """Return whether planned pulses, rounded as they are, keep to an envelope."""
-    horizon_s = max([least_horizon_s, plan.horizon_s, *(pulse.stop_s for pulse in plan.pulses)])
-    effect = predicted_effect(plan.pulses, design.gains.inertia_kg_m2, np.eye(3), horizon_s)
-    return not envelope_excesses(effect, (0.0, 0.0, 0.0), envelope)
 
 
 def _design(spacecraft: Spacecraft, config: TorqueConfig, max_torque_n_m: float | None) -> ControlDesign:
@@ -267,69 +260,50 @@ def _design(spacecraft: Spacecraft, config: TorqueConfig, max_torque_n_m: float 
     design = control_design(spacecraft, config)
     if max_torque_n_m is None:
         return design
-    return design._replace(drive=design.drive._replace(limit_n_m=min(design.drive.limit_n_m, max_torque_n_m)))
+    return design._replace(drive=design.drive._replace(limit_n_m=float(min(design.drive.limit_n_m, max_torque_n_m))))
 
 
-def _situation_at(row: AttitudeRow, start_us: int, design: ControlDesign, disturbance: Disturbance | None) -> Situation:
-    """Return the spacecraft at an instant after its row."""
+def _situation(row: AttitudeRow, start_us: int) -> Situation:
+    """Return the spacecraft of a row, and how long after it a command begins."""
+    rates = NOTHING if row.rates_deg_s is None else np.array(row.rates_deg_s, dtype=np.float64)
     ahead_s = max(0.0, (start_us - row.epoch_us) / US_PER_S)
-    pushed_deg_s2 = np.zeros(3)
-    if disturbance is not None and ahead_s > 0.0:
-        middle_us = (row.epoch_us + start_us) // 2
-        pushed_deg_s2 = np.degrees(np.linalg.solve(design.gains.inertia_kg_m2, disturbance.torque_n_m(middle_us)))
-    rates = _rates(row)
-    attitude = np.array(row.steered_deg) + rates * ahead_s + 0.5 * pushed_deg_s2 * ahead_s**2
-    return Situation(attitude, rates + pushed_deg_s2 * ahead_s, np.array(row.control_allowed_axes))
+    return Situation(np.array(row.steered_deg, dtype=np.float64), rates, np.array(row.control_allowed_axes), ahead_s)
 
 
-def _forecast(spacecraft: Spacecraft, span: Span, config: TorqueConfig, disturbance: Disturbance | None) -> Forecast:
-    """Return the parts of a horizon and the torque expected in each."""
+def _known_torque(disturbance: Disturbance | None, start_us: int) -> KnownTorque:
+    """Return the torque that is expected while a command lasts."""
+    if disturbance is None:
+        return KnownTorque(np.zeros((3, 3)), 1.0, 0.0)
+    parts_n_m = np.array((disturbance.constant_n_m, disturbance.cosine_n_m, disturbance.sine_n_m), dtype=np.float64)
+    return KnownTorque(parts_n_m, float(disturbance.period_s), (start_us - disturbance.epoch_us) / US_PER_S)
+
+
+def _horizon(spacecraft: Spacecraft, span: Span, config: TorqueConfig) -> Horizon:
+    """Return the parts of a horizon."""
     # a longer horizon may become as short as the slew, and the command's span with it
-    least_s = span.period_s if span.period_s <= spacecraft.control.command_period_s else 0.0
-    slew_s = config.slew_share * min(span.period_s, spacecraft.control.command_period_s)
-    left_s = span.period_s - slew_s
+    period_s, usual_s = float(span.period_s), spacecraft.control.command_period_s
+    least_s = period_s if period_s <= usual_s else 0.0
+    slew_s = config.slew_share * min(period_s, usual_s)
+    left_s = period_s - slew_s
     # slices of a whole period where there is room, else one for what is left of the only period
     slices = max(1, int(left_s / config.balance_s)) if left_s > 0.0 else 0
-    slice_s = left_s / slices if slices else config.balance_s
-    if disturbance is None:
-        return Forecast(slew_s, slice_s, np.zeros((1 + slices, 3)), least_s)
-    middles_s = [0.5 * slew_s, *(slew_s + slice_s * (k + 0.5) for k in range(slices))]
-    instants = [span.epoch_us + round(s * US_PER_S) for s in middles_s]
-    torque_n_m = np.array([disturbance.torque_n_m(at_us) for at_us in instants])
-    return Forecast(slew_s, slice_s, torque_n_m, least_s)
+    slice_s = left_s / slices if slices else float(config.balance_s)
+    return Horizon(slew_s, slice_s, slices, least_s)
 
 
 def _allocated(
     row: AttitudeRow,
     spacecraft: Spacecraft,
     span: Span,
-    pulses: tuple[AxisPulse, ...],
+    pulses: FloatArray,
     design: ControlDesign,
     momentum_n_m_s: tuple[float, ...] | None,
     *,
     is_cut: bool,
 ) -> TorqueCommand:
-    """Return the command with each wheel's share; a wheel at its limit of momentum makes all pulses shorter."""
-    shares = _shares(pulses, span, design.wheels, momentum_n_m_s)
-    if shares.share < 1.0:
-        step_s = design.drive.time_step_s
-        shorter = (p._replace(duration_s=int(p.duration_s * shares.share / step_s) * step_s) for p in pulses)
-        pulses = tuple(pulse for pulse in shorter if pulse.duration_s >= design.drive.min_pulse_s)
-        shares = _shares(pulses, span, design.wheels, momentum_n_m_s)
-        is_cut = True
-    prediction = predicted(pulses, design.inverse_1_kg_m2, span.period_s)
-    return command_of(row, spacecraft, span, pulses, prediction, shares, is_saturated=is_cut)
-
-
-def _shares(
-    pulses: tuple[AxisPulse, ...], span: Span, wheels: Wheels, momentum_n_m_s: tuple[float, ...] | None
-) -> Allocation:
-    """Return each wheel's share of the mean torque, null motion included where the momenta are known."""
-    is_known = momentum_n_m_s is not None and len(momentum_n_m_s) == wheels.size
-    momentum = np.array(momentum_n_m_s) if is_known else np.full(wheels.size, wheels.least_momentum_n_m_s)
-    return allocate(wheels, impulse_of(pulses) / span.period_s, momentum, span.period_s)
-
-
-def _rates(row: AttitudeRow) -> FloatArray:
-    """Return the rates of a row that has them; a command without them is inhibited before."""
-    return NO_CARRY if row.rates_deg_s is None else np.array(row.rates_deg_s)
+    """Return the command with each wheel's share, null motion included where the momenta are known."""
+    momentum = design.usual_momentum_n_m_s
+    if momentum_n_m_s is not None and len(momentum_n_m_s) == len(momentum):
+        momentum = np.array(momentum_n_m_s, dtype=np.float64)
+    allocated = compiled_allocation(pulses, design.gains, design.drive, design.wheels, momentum, float(span.period_s))
+    return command_of(row, spacecraft, span, allocated, is_saturated=bool(is_cut or allocated.is_cut))

@@ -1,17 +1,17 @@
 """Design of the control of a spacecraft, its mean torque, inhibitions, and the record of a command."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from service.core.control.command_plan import AllocatedPulses, MeanPulses, compiled_law, compiled_mean
 from service.core.control.gyro_orbitant import does_rate_show_yaw, gyro_orbitant_law, gyro_orbitant_torque
-from service.core.control.quaternion_law import GEOSTATIONARY_RATE_RAD_S, Gains, feedback_torque, loop_gains
-from service.core.control.slew_schedule import AxisPulse, Drive, Envelope, shape_pulses
-from service.core.control.wheel_allocation import Allocation, Wheels, body_torque_limit_n_m, wheel_set
+from service.core.control.quaternion_law import GEOSTATIONARY_RATE_RAD_S, Gains, loop_gains
+from service.core.control.slew_schedule import Drive, Envelope
+from service.core.control.wheel_allocation import Wheels, body_torque_limit_n_m, wheel_set
 from service.core.dynamics.orbital_frame_model import Law, OrbitalFrameGains
 from service.pipeline.config import TorqueConfig
 from service.records.catalogue import ControlLaw, ControlMode, Release, Spacecraft
@@ -24,11 +24,11 @@ from service.records.levels.attitude import (
     FloatArray,
     Pulse,
     TorqueCommand,
-    named_axes,
 )
 
 _ZERO = Axes(0.0, 0.0, 0.0)
-_HOUR_S = 3600.0
+#: (3,) no torque, rate or impulse about any axis
+NOTHING = np.zeros(3)
 
 
 class Span(NamedTuple):
@@ -44,43 +44,46 @@ class Span(NamedTuple):
         return self.epoch_us + round(self.period_s * US_PER_S)
 
 
-class Prediction(NamedTuple):
-    """Change of angle and rate at the end of the pulses; (3,) yaw, roll, pitch."""
-
-    angle_change_rad: FloatArray
-    rate_change_rad_s: FloatArray
-
-
 def command_of(
     row: AttitudeRow,
     spacecraft: Spacecraft,
     span: Span,
-    pulses: Sequence[AxisPulse],
-    prediction: Prediction,
-    shares: Allocation,
+    allocated: AllocatedPulses,
     *,
     is_saturated: bool,
 ) -> TorqueCommand:
-    """Return the command of some pulses; ``shares`` are the wheels' shares of their mean torque."""
-    impulse = impulse_of(pulses)
+    """Return the command of some pulses."""
+    impulse, angle_deg, rate_deg_s = map(Axes._make, allocated.effect.tolist())
+    wheels_n_m, period_s = allocated.wheels_n_m.tolist(), span.period_s
     return TorqueCommand(
         epoch_us=span.epoch_us,
         number=row.number,
         attitude_epoch_us=row.epoch_us,
         mode=spacecraft.control.mode.value,
-        torque_n_m=named_axes(impulse / span.period_s),
-        wheels_n_m=tuple((shares.wheels_n_m + 0.0).tolist()),
+        torque_n_m=Axes(impulse.yaw / period_s, impulse.roll / period_s, impulse.pitch / period_s),
+        wheels_n_m=tuple(wheels_n_m),
         saturated=is_saturated,
-        command_period_s=span.period_s,
+        command_period_s=period_s,
         valid_until_us=span.stop_us,
-        schedule=tuple(_pulse(span.epoch_us, pulse) for pulse in pulses),
-        impulse_n_m_s=named_axes(impulse),
-        predicted_angle_change_deg=named_axes(np.rad2deg(prediction.angle_change_rad)),
-        predicted_rate_change_deg_s=named_axes(np.rad2deg(prediction.rate_change_rad_s)),
-        predicted_wheel_momentum_n_m_s=tuple((shares.wheels_n_m * span.period_s + 0.0).tolist()),
+        schedule=tuple(
+            [
+                Pulse(span.epoch_us + round(start_s * US_PER_S), duration_s, _about(axis, torque_n_m))
+                for axis, start_s, duration_s, torque_n_m in allocated.pulses.tolist()
+            ]
+        ),
+        impulse_n_m_s=impulse,
+        predicted_angle_change_deg=angle_deg,
+        predicted_rate_change_deg_s=rate_deg_s,
+        predicted_wheel_momentum_n_m_s=tuple([torque_n_m * period_s for torque_n_m in wheels_n_m]),
         control_allowed=True,
         inhibitions=(),
     )
+
+
+def _about(axis: float, torque_n_m: float) -> Axes:
+    if axis == 0.0:
+        return Axes(torque_n_m, 0.0, 0.0)
+    return Axes(0.0, torque_n_m, 0.0) if axis == 1.0 else Axes(0.0, 0.0, torque_n_m)
 
 
 def zero_command(row: AttitudeRow, spacecraft: Spacecraft, span: Span, inhibitions: tuple[str, ...]) -> TorqueCommand:
@@ -109,28 +112,6 @@ def _nothing(wheels: int, inhibitions: tuple[str, ...]) -> dict[str, Any]:
     return {**dict.fromkeys(names, _ZERO), **still, **said, "saturated": False, "schedule": (), "schedule_check": None}
 
 
-def impulse_of(pulses: Sequence[AxisPulse]) -> FloatArray:
-    """Return the impulse (3,) of some pulses, N m s."""
-    impulse = np.zeros(3)
-    for pulse in pulses:
-        impulse[pulse.axis] += pulse.impulse_n_m_s
-    return impulse
-
-
-def predicted(pulses: Sequence[AxisPulse], inverse_1_kg_m2: FloatArray, period_s: float) -> Prediction:
-    """Return the exact effect of pulses at the end of their span: each one's rate turns the body from its middle on."""
-    turned = np.zeros(3)
-    for pulse in pulses:
-        turned[pulse.axis] += pulse.impulse_n_m_s * (period_s - pulse.start_s - 0.5 * pulse.duration_s)
-    return Prediction(inverse_1_kg_m2 @ turned, inverse_1_kg_m2 @ impulse_of(pulses))
-
-
-def _pulse(epoch_us: int, pulse: AxisPulse) -> Pulse:
-    torque = [0.0, 0.0, 0.0]
-    torque[pulse.axis] = pulse.torque_n_m
-    return Pulse(epoch_us + round(pulse.start_s * US_PER_S), pulse.duration_s, Axes._make(torque))
-
-
 #: a drive without steps is given these shares of its limit as steps: finer than any torque that is asked for
 _FINE_SHARE = 1e-6
 #: body axes x roll, y pitch, z yaw in the order yaw, roll, pitch
@@ -141,10 +122,10 @@ class ControlDesign(NamedTuple):
     """The law of one spacecraft."""
 
     gains: Gains
-    #: (3, 3) inverse of the tensor of inertia in the order yaw, roll, pitch
-    inverse_1_kg_m2: FloatArray
     drive: Drive
     wheels: Wheels
+    #: (W,) N m s, of wheels whose momentum nobody tells: from there null motion does not move them
+    usual_momentum_n_m_s: FloatArray
 
 
 @lru_cache(maxsize=64)
@@ -173,9 +154,8 @@ def control_design(spacecraft: Spacecraft, config: TorqueConfig) -> ControlDesig
         spacecraft.wheels.momentum_limit_n_m_s,
         min(config.least_wheel_momentum_n_m_s, 0.5 * spacecraft.wheels.momentum_limit_n_m_s),
     )
-    drive = Drive(limit_n_m, quantum_n_m, config.min_pulse_s, config.time_step_s)
-    inverse = np.asarray(np.linalg.inv(gains.inertia_kg_m2), dtype=np.float64)
-    return ControlDesign(gains, inverse, drive, wheels)
+    drive = Drive(*map(float, (limit_n_m, quantum_n_m, config.min_pulse_s, config.time_step_s)))
+    return ControlDesign(gains, drive, wheels, np.full(wheels.size, wheels.least_momentum_n_m_s))
 
 
 def gyro_design(spacecraft: Spacecraft, config: TorqueConfig, period_s: float | None = None) -> Law:
@@ -220,15 +200,6 @@ def _gyro_design(spacecraft: Spacecraft, period_s: int) -> Law:
     return gyro_orbitant_law(tensor, gains, torque_limit_n_m=limit_n_m, command_period_s=float(period_s))
 
 
-class MeanPulses(NamedTuple):
-    """Pulses whose mean is the torque, what they leave for later, and whether the law wanted more."""
-
-    pulses: tuple[AxisPulse, ...]
-    #: (3,) N m s
-    carry_n_m_s: FloatArray
-    is_cut: bool
-
-
 def is_gyro_orbitant(spacecraft: Spacecraft) -> bool:
     """Return whether the catalogue chose the gyro-orbitant law."""
     return spacecraft.control.law is ControlLaw.GYRO_ORBITANT
@@ -270,26 +241,21 @@ def mean_pulses(
         The catalogue makes no law for this period.
     """
     wanted = _wanted(row, spacecraft, span, config, design, disturbance, body_rate_deg_s)
-    is_allowed = np.array(row.control_allowed_axes)
-    wanted = np.where(is_allowed, wanted, 0.0)
-    shares, is_automatic = np.ones(3), spacecraft.control.release is Release.AUTOMATIC
-    if not (is_gyro_orbitant(spacecraft) and is_automatic):
-        shares = _shares_within_envelope(wanted, design, span, config.envelope_share)
-    if is_gyro_orbitant(spacecraft):
-        # its axes belong together
-        shares = np.full(3, shares.min())
-    train = shape_pulses(
-        shares * wanted,
-        np.where(is_allowed, carry_n_m_s, 0.0),
-        period_s=span.period_s,
-        limit_n_m=design.drive.limit_n_m,
-        quantum_n_m=design.drive.quantum_n_m,
-        min_pulse_s=config.min_pulse_s,
-        time_step_s=config.time_step_s,
+    if not np.isfinite(wanted).all():
+        raise ValueError("the law has no finite torque for these angles and rates")
+    are_axes_together, is_automatic = is_gyro_orbitant(spacecraft), spacecraft.control.release is Release.AUTOMATIC
+    own_share = math.inf if are_axes_together and is_automatic else config.envelope_share
+    mean: MeanPulses = compiled_mean(
+        design.gains,
+        design.drive,
+        wanted,
+        np.array(carry_n_m_s),
+        np.array(row.control_allowed_axes),
+        float(span.period_s),
+        Envelope(*(own_share * limit for limit in span.envelope)),
+        are_axes_together,
     )
-    reported = enumerate(zip(train.duration_s.tolist(), train.torque_n_m.tolist(), strict=True))
-    pulses = tuple(AxisPulse(axis, 0.0, duration_s, torque) for axis, (duration_s, torque) in reported if duration_s)
-    return MeanPulses(pulses, train.carry_n_m_s, bool((shares < 1.0).any() or train.is_saturated.any()))
+    return mean
 
 
 def _wanted(
@@ -303,24 +269,16 @@ def _wanted(
 ) -> FloatArray:
     """Return the torque (3,), N m, of the law that the catalogue chose, the known torque taken away."""
     middle_us = (span.epoch_us + span.stop_us) // 2
-    pushed = np.zeros(3) if disturbance is None else np.array(disturbance.torque_n_m(middle_us))
+    pushed = NOTHING if disturbance is None else np.array(disturbance.torque_n_m(middle_us), dtype=np.float64)
     if is_gyro_orbitant(spacecraft):
         law = gyro_design(spacecraft, config, span.period_s)
         rate = np.array(body_rate_deg_s, dtype=np.float64)
         return gyro_orbitant_torque(row.steered_deg.roll, row.steered_deg.pitch, rate, law, math.inf) - pushed
-    rates = np.zeros(3) if row.rates_deg_s is None else np.array(row.rates_deg_s)
-    return feedback_torque(design.gains, row.steered_deg, rates, disturbance_n_m=pushed)
-
-
-def _shares_within_envelope(
-    torque_n_m: FloatArray, design: ControlDesign, span: Span, of_envelope: float
-) -> FloatArray:
-    """Return the share (3,) of a mean torque that every command of an hour may give, whenever it acts."""
-    impulse = np.abs(torque_n_m) * span.period_s
-    rate_deg_s = np.degrees(np.abs(design.inverse_1_kg_m2) @ impulse)
-    asked = np.array([rate_deg_s * span.period_s, rate_deg_s, impulse, impulse * max(1.0, _HOUR_S / span.period_s)])
-    limits = of_envelope * np.array(span.envelope)[:, None]
-    return np.asarray(np.minimum(1.0, limits / np.maximum(asked, limits)).min(axis=0))
+    rates = NOTHING if row.rates_deg_s is None else np.array(row.rates_deg_s, dtype=np.float64)
+    torque_n_m: FloatArray = compiled_law(
+        design.gains, np.array(row.steered_deg, dtype=np.float64), rates, NOTHING, pushed
+    )
+    return torque_n_m
 
 
 #: reasons beside those of the interlock for which a command stays zero, with what each one says
