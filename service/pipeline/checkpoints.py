@@ -13,6 +13,9 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from service.core.estimation.filtering.filter_state import CARRIER, WATCH
+from service.core.estimation.filtering.readings import READING
+from service.core.estimation.paper.downlink_fade import FADE
+from service.core.estimation.paper.row import COUNTERS, LEVEL, PENDING
 from service.pipeline.config import ChainConfig
 from service.pipeline.control.command.schedule_check import PanelSwing
 from service.pipeline.estimation.paper.runner import SavedPaper
@@ -201,7 +204,7 @@ class ChainState(NamedTuple):
     last: tuple[Measurement, bool] | None
 
 
-_LAYOUT = Layout(ChainState, (CARRIER, WATCH))
+_LAYOUT = Layout(ChainState, (CARRIER, WATCH, READING, COUNTERS, FADE, PENDING, LEVEL))
 
 
 def fingerprint(config: ChainConfig) -> str:

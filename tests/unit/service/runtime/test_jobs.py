@@ -288,7 +288,7 @@ def test_every_spacecraft_that_is_led_is_looked_at_once_a_period_and_the_archive
 
 def test_a_job_is_the_work_of_one_spacecraft_or_of_the_service(archive):
     work = maintainer(archive, names=("a", "b"))
-    assert len(list(work(Job("sealing-b", "sealing", JobState.RUNNING, 0.0, 0, spacecraft_id="b")))) == 3
+    assert len(list(work(Job("sealing-b", "sealing", JobState.RUNNING, 0.0, 0, spacecraft_id="b")))) == 2
     assert [asked[1] for asked in archive.asked] == ["b"]
     assert list(work(Job("sealing-service", "sealing", JobState.RUNNING, 0.0, 0, spacecraft_id=""))) == []
 
