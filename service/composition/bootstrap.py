@@ -21,7 +21,7 @@ from service.console.pages import with_console
 from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.checkpoints import fingerprint
 from service.pipeline.config import CalibrationConfig, ChainConfig
-from service.pipeline.first_rows import compile_filter
+from service.pipeline.first_rows import compile_rows
 from service.ports.storage import Clock, Storage, Term
 from service.records.operations.access import DONE, AccessKey, AuditEvent, Role, StoredKey, digest_of, new_key
 from service.records.operations.alarms import Severity
@@ -290,7 +290,7 @@ def _job_runner(settings: Settings, storage: Storage, clock: Clock, leading: Lea
         Standing(JobKind.SMOOTHING, smoothing.due, smoothing.failed),
         Standing(JobKind.SEALING, maintenance.due),
     )
-    prepare = partial(worker.call, compile_filter)
+    prepare = partial(worker.call, compile_rows)
     return JobRunner(storage, clock, worker.advance, leading.term, standing, prepare), worker
 
 

@@ -1,35 +1,95 @@
-"""Rows of a made-up payload that compile the robust filter, so that no first row of a spacecraft waits for it.
+"""Rows of a made-up payload that compile what a row goes through, so that no first row of a spacecraft waits for it.
 
 Run ``python -m service.pipeline.first_rows`` after an installation; it takes a minute, and a second where the machine
 code is there already.
 """
+
+from dataclasses import replace
 
 import numpy as np
 
 from service.core.estimation.filtering.attitude_filter import step
 from service.core.estimation.filtering.filter_model import (
     CarrierModel,
+    FilterSettings,
     initial_gaussian,
+    no_carriers,
     no_motion,
 )
 from service.core.estimation.filtering.filter_state import start
 from service.core.estimation.filtering.plant import filter_model
+from service.core.estimation.filtering.readings import frozen_readings, no_readings
+from service.core.estimation.paper import row as paper_row
+from service.core.estimation.paper.downlink_fade import LIMITS
+from service.core.estimation.paper.loop_observer import initial_estimate
+from service.pipeline.config import TorqueConfig
+from service.pipeline.control.command.compute_command import NO_CARRY, compute_command
+from service.pipeline.estimation.paper.runner import TAKE_ROW, with_room
+from service.pipeline.inputs.known_motion import CommandedMotion, commanded_arrays
+from service.records.catalogue import ControlSettings, Method, Release, Site, Spacecraft
+from service.records.levels.attitude import Axes, row_without_attitude
 
 _MINUTE_US = 60_000_000
-#: more than the anchor waits between two answers
-_ROWS = 30
+_CARRIERS = 8
 
 
-def compile_filter() -> None:
-    """Filter half an hour of eight carriers."""
-    model, random = _payload(8), np.random.default_rng(1)
+def compile_rows() -> None:
+    """Take rows of eight carriers by both methods, and compute their torques."""
+    _filter_rows()
+    _take_paper_row()
+    for release in (Release.TWO_STEP, Release.AUTOMATIC):
+        _compute_command(release)
+
+
+def _filter_rows() -> None:
+    model, random = _payload(_CARRIERS), np.random.default_rng(1)
     sigma_deg, sigma_db = np.full(3, 0.01), np.full(model.carriers, 0.03)
     aligned = initial_gaussian(model, np.zeros(3), sigma_deg, sigma_db, drift_deg_h=(0.1, 0.1, 0.1))
-    state = start(model, 0, aligned)
-    arrays = filter_model(model)
-    for row in range(1, _ROWS + 1):
-        deviation_db = random.normal(0.0, 0.1, model.carriers)
-        state = step(arrays, state, row * _MINUTE_US, deviation_db, no_motion()).state
+    state, deviation_db = start(model, 0, aligned), random.normal(0.0, 0.1, model.carriers)
+    step(filter_model(model), state, _MINUTE_US, deviation_db, no_motion())
+    frozen_readings(no_readings(_CARRIERS), np.zeros(1, dtype=np.int64), np.zeros((1, _CARRIERS)))
+
+
+def _take_paper_row() -> None:
+    slopes, parts = np.zeros((_CARRIERS, 3)), np.ones((_CARRIERS, 1))
+    model = paper_row.PaperArrays(
+        np.zeros(1, LIMITS),
+        np.zeros(_CARRIERS, paper_row.CARRIER),
+        slopes,
+        slopes,
+        slopes,
+        parts,
+        parts,
+        np.eye(3),
+        filter_model(no_carriers()),
+    )
+    estimate = initial_estimate(np.zeros(3), np.full(3, 0.01), FilterSettings())
+    state = paper_row.initial_arrays(_CARRIERS, 0, *estimate)
+    row = paper_row.PaperRow(_MINUTE_US, 0.0, np.full(_CARRIERS, -50.0), is_late=False)
+    levels, results = np.zeros(_CARRIERS, paper_row.LEVEL), np.zeros(1, paper_row.RESULT)
+    TAKE_ROW(model, state, with_room(state), commanded_arrays(CommandedMotion(0)), row, levels, results)
+
+
+def _compute_command(release: Release) -> None:
+    spacecraft = Spacecraft(
+        "none",
+        "none",
+        0.0,
+        Site(0.0, 0.0),
+        ((3000.0, 0.0, 0.0), (0.0, 3000.0, 0.0), (0.0, 0.0, 3000.0)),
+        0.01,
+        control=ControlSettings(release=release),
+    )
+    angles = Axes(0.01, 0.02, -0.01)
+    row = replace(
+        row_without_attitude(0, 0, 1, Method.ROBUST, ()),
+        attitude_deg=angles,
+        sigma_deg=angles,
+        rates_deg_s=Axes(0.0, 0.0, 0.0),
+        control_allowed=True,
+        control_allowed_axes=(True, True, True),
+    )
+    compute_command(row, spacecraft, NO_CARRY, 60.0, TorqueConfig())
 
 
 def _payload(carriers: int) -> CarrierModel:
@@ -51,4 +111,4 @@ def _payload(carriers: int) -> CarrierModel:
 
 
 if __name__ == "__main__":
-    compile_filter()
+    compile_rows()

@@ -9,9 +9,9 @@ there and gives the same rows, bit for bit.
 """
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from itertools import takewhile
+from itertools import islice, takewhile
 from typing import NamedTuple
 
 from service.errors import ConflictError, InvalidInputError
@@ -30,8 +30,10 @@ from service.records.storage import Checkpoint
 from service.runtime.jobs.job_runner import WorkerConfig, new_job
 from service.runtime.live.chain_restart import KNOWN_US, checkpoint_of, restored_checkpoint, state_of
 from service.runtime.live.journal_consumer import (
+    BLOCK_ROWS,
     DocumentCache,
     consume,
+    consume_rows,
     trips_after,
     update_before,
     without_torque_after,
@@ -290,18 +292,24 @@ class ReplayRun:
             entries = archive.journal(self._id, position, _ENTRIES_AT_ONCE)
             if not entries:
                 return
-            for entry in entries:
-                if not self._heeds(entry) or entry.number > until:
-                    continue
-                progress = (entry.number - first) / max(1, until - first)
-                for outcome in consume(self._chain, entry, archive, self._id):
-                    if entry.number <= after:
-                        continue
-                    yield _Passed(progress, without_torque_after(trips, outcome), None)
-                if isinstance(entry.content, Measurement):
-                    newest_us = max(newest_us, entry.content.epoch_us)
-                yield _Passed(progress, None, (entry.number, newest_us))
             position = entries[-1].number
+            heard = [entry for entry in entries if self._heeds(entry) and entry.number <= until]
+            for rows, entry in _blocks(heard):
+                last = rows[-1].number if entry is None else entry.number
+                progress = (last - first) / max(1, until - first)
+                for number, outcome in self._outcomes(rows, entry):
+                    if number > after:
+                        yield _Passed(progress, without_torque_after(trips, outcome), None)
+                newest_us = max([newest_us, *(row.epoch_us for row in rows)])
+                yield _Passed(progress, None, (last, newest_us))
+
+    def _outcomes(self, rows: list[Measurement], entry: JournalEntry | None) -> Iterator[tuple[int, Outcome]]:
+        """Yield what comes of rows, or of an entry that is none, with the journal number of what it came of."""
+        if entry is None:
+            yield from ((row.number, outcome) for row, outcome in consume_rows(self._chain, rows))
+        else:
+            found = consume(self._chain, entry, self._storage.archive, self._id)
+            yield from ((entry.number, outcome) for outcome in found)
 
     def _by_epoch(self, own: Checkpoint | None) -> Iterator[_Passed]:
         """Pass the rows in order of epoch; what is known now holds from the alignment on."""
@@ -317,15 +325,14 @@ class ReplayRun:
         newest_us = archive.head(self._id).newest_epoch_us
         span_us = max(1, min(stop_us, newest_us or stop_us) - start_us)
         rows = archive.measurements_after(self._id, after[0] - 1, self._newest_number + 1)
-        for row in takewhile(lambda row: row.epoch_us < stop_us, rows):
-            if (row.epoch_us, row.number) <= after:
-                continue
-            progress = min(1.0, (row.epoch_us - start_us) / span_us)
-            for outcome in consume(
-                self._chain, JournalEntry(row.number, replace(row, is_late=False)), archive, self._id
-            ):
+        within = takewhile(lambda row: row.epoch_us < stop_us, rows)
+        ahead = (replace(row, is_late=False) for row in within if (row.epoch_us, row.number) > after)
+        while block := list(islice(ahead, BLOCK_ROWS)):
+            last = block[-1]
+            progress = min(1.0, (last.epoch_us - start_us) / span_us)
+            for _, outcome in consume_rows(self._chain, block):
                 yield _Passed(progress, outcome, None)
-            yield _Passed(progress, None, (row.number, row.epoch_us))
+            yield _Passed(progress, None, (last.number, last.epoch_us))
 
     def _state_of(self, own: Checkpoint | None) -> ChainState | None:
         return None if own is None else state_of(self._id, own)
@@ -395,6 +402,22 @@ class ReplayRun:
         content = entry.content
         is_other = isinstance(content, AlignmentSet) and content.alignment_id != self._alignment.id
         return not (self._replay.is_fixed_alignment and is_other)
+
+
+def _blocks(entries: Sequence[JournalEntry]) -> Iterator[tuple[list[Measurement], JournalEntry | None]]:
+    """Yield entries as rows that follow one another, `BLOCK_ROWS` at the most, or as one that is no row."""
+    rows: list[Measurement] = []
+    for entry in entries:
+        is_row = isinstance(entry.content, Measurement)
+        if rows and (not is_row or len(rows) >= BLOCK_ROWS):
+            yield rows, None
+            rows = []
+        if isinstance(entry.content, Measurement):
+            rows.append(entry.content)
+        else:
+            yield [], entry
+    if rows:
+        yield rows, None
 
 
 def replay_work(storage: Storage, config: ChainConfig, job: Job) -> Iterator[float]:

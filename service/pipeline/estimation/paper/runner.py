@@ -64,7 +64,7 @@ from service.records.levels.measurement import Measurement
 
 #: sigma of an alignment's angle that nobody states, deg
 _ALIGNMENT_DEG = 0.1
-_TAKE_ROW = CompiledEntry(
+TAKE_ROW = CompiledEntry(
     take_row, (filter_model, plant, body_motion, harmonic, downlink_fade, snapshot, loop_observer, paper_row)
 )
 
@@ -113,8 +113,8 @@ def step_paper(
     phase_rad = node_phase_at_rad(measurement.epoch_us, ephemeris.ascending_nodes_us, ephemeris.nodal_period_s)
     row = PaperRow(measurement.epoch_us, phase_rad, power_dbm, is_late)
     levels, results = np.empty(len(power_dbm), LEVEL), np.zeros(1, RESULT)
-    before, after = state.arrays, _with_room(state.arrays)
-    _TAKE_ROW(model.arrays, before, after, commanded_arrays(state.commanded), row, levels, results)
+    before, after = state.arrays, with_room(state.arrays)
+    TAKE_ROW(model.arrays, before, after, commanded_arrays(state.commanded), row, levels, results)
     result = results[0]
     context = RowContext(
         is_late=is_late,
@@ -130,7 +130,7 @@ def step_paper(
     return PaperStep(outcome, levels, state if is_late else _moved(state, after))
 
 
-def _with_room(state: PaperState) -> PaperState:
+def with_room(state: PaperState) -> PaperState:
     """Return arrays that the next state fits into."""
     rows, pending = len(state.window_us) + 1, len(state.pending) + 1
     return PaperState(

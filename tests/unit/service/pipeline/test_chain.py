@@ -11,7 +11,7 @@ from bench.bench_chain import measure
 from service.core import compiled_entry
 from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
-from service.pipeline.first_rows import compile_filter
+from service.pipeline.first_rows import compile_rows
 from service.pipeline.inputs.knowledge import Knowledge, update
 from service.records.catalogue import FlexibleMode, Method, Release
 from service.records.inputs import (
@@ -284,7 +284,7 @@ def test_momentum_and_rate_are_known_while_they_are_fresh_in_whatever_order_they
 
 @pytest.mark.slow
 def test_rows_of_a_spacecraft_find_their_machine_code(monkeypatch):
-    compile_filter()
+    compile_rows()
     copied, plain = [], compiled_entry._plain
     monkeypatch.setattr(compiled_entry, "_plain", lambda value: copied.append(value) or plain(value))
     measure(16, 30, (Method.ROBUST,), has_commands=False)
