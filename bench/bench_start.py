@@ -25,7 +25,7 @@ from bench import plain_batch
 from bench.load.server_process import ServedProcess, running
 from db.storage import SqlStorage
 from service.__main__ import main as serve
-from service.pipeline.first_rows import compile_filter
+from service.pipeline.first_rows import compile_rows
 from service.ports.archive import LIVE
 from service.records.storage import sqlite_url
 from tests.fakes.worlds.synthetic_payload import SC, START_US, S, SyntheticPayload
@@ -132,7 +132,7 @@ def _storage(database: Path) -> Iterator[SqlStorage]:
 
 def serve_warm() -> None:
     """Serve as ``soo serve``, its filter loaded as in a service that has been up for a while."""
-    compile_filter()
+    compile_rows()
     serve()
 
 

@@ -15,7 +15,7 @@ from sqlalchemy import Connection, and_, delete, or_, select, true, tuple_
 
 from db.database import Database, lock_head
 from db.encoding.column_blob import pack_columns
-from db.encoding.segments import DAY_US, SegmentHead, Series, heads
+from db.encoding.segments import DAY_US, RowSeries, SegmentHead, heads
 from db.schema.tables import measurement, measurement_detail, segment, summary
 from db.summaries import Bins
 from service.errors import StorageError
@@ -36,21 +36,21 @@ class RowKind(Protocol):
     """Rows of a series: each has an epoch and a number."""
 
     def read(
-        self, connection: Connection, of: Series, start_us: int, stop_us: int, limit: int
+        self, connection: Connection, of: RowSeries, start_us: int, stop_us: int, limit: int
     ) -> tuple[list[Any], list[Position]]:
         """Return the first rows of a span of the table, whole epochs, and the places of those that are damaged."""
 
     def sealed(self, connection: Connection, head: SegmentHead) -> list[Any]:
         """Return the rows of a segment; StorageError ``storage.corrupt``."""
 
-    def columns_and_bins(self, of: Series, rows: Sequence[Any]) -> tuple[Mapping[str, Any], Bins]:
+    def columns_and_bins(self, of: RowSeries, rows: Sequence[Any]) -> tuple[Mapping[str, Any], Bins]:
         """Return rows as the columns of a segment, and what is summarised of them."""
 
 
 class Change(NamedTuple):
     """Changes of one sealing transaction."""
 
-    of: Series
+    of: RowSeries
     #: rows to remove, by epoch and number
     sealed: tuple[Position, ...]
     replaced_id: int | None
@@ -63,7 +63,7 @@ class Change(NamedTuple):
         return sum(int(values["row_count"]) for values, _ in self.written)
 
 
-def seal_day(database: Database, of: Series, day: int, kind: RowKind) -> Iterator[Change]:
+def seal_day(database: Database, of: RowSeries, day: int, kind: RowKind) -> Iterator[Change]:
     """Seal what the table of rows holds of a day, a transaction a step.
 
     A segment that cannot be read keeps the late rows of its day in the table of rows. A row that differs from its
@@ -75,7 +75,7 @@ def seal_day(database: Database, of: Series, day: int, kind: RowKind) -> Iterato
         yield change
 
 
-def _next_change(database: Database, of: Series, day: int, kind: RowKind) -> Change | None:
+def _next_change(database: Database, of: RowSeries, day: int, kind: RowKind) -> Change | None:
     """Return what to do next with a day; None when nothing is left, or nothing can be done."""
     try:
         with database.read() as connection:
@@ -87,7 +87,7 @@ def _next_change(database: Database, of: Series, day: int, kind: RowKind) -> Cha
         return None
 
 
-def _prepared(connection: Connection, of: Series, day: int, kind: RowKind) -> Change | None:
+def _prepared(connection: Connection, of: RowSeries, day: int, kind: RowKind) -> Change | None:
     start_us, stop_us, most = day * DAY_US, (day + 1) * DAY_US, SEGMENT_ROWS[of.table.name]
     rows, damaged = kind.read(connection, of, start_us, stop_us, most)
     if damaged and not (rows and len(damaged) <= _MOST_STAYING):
@@ -130,7 +130,7 @@ def _parts(rows: Sequence[Any], most: int) -> Iterator[Sequence[Any]]:
         yield rows[start:stop]
 
 
-def _segment(of: Series, day: int, rows: Sequence[Any], kind: RowKind) -> tuple[dict[str, Any], Bins]:
+def _segment(of: RowSeries, day: int, rows: Sequence[Any], kind: RowKind) -> tuple[dict[str, Any], Bins]:
     """Return the columns of a segment but its id and checksum, and what is summarised of it."""
     columns, bins = kind.columns_and_bins(of, rows)
     numbers = [row.number for row in rows]
@@ -138,7 +138,7 @@ def _segment(of: Series, day: int, rows: Sequence[Any], kind: RowKind) -> tuple[
     values = {
         "spacecraft_key": of.key,
         "series": of.table.name,
-        **dict(zip(Series._fields[2:], of[2:], strict=True)),
+        **dict(zip(RowSeries._fields[2:], of[2:], strict=True)),
         "day": day,
         "row_count": len(rows),
         "feeding_count": sum(getattr(row, "feeds_estimator", False) for row in rows),
@@ -185,7 +185,7 @@ def carry_out(connection: Connection, change: Change) -> bool:
     return True
 
 
-def _delete_details(connection: Connection, of: Series, span_us: Position, staying_us: Sequence[int]) -> None:
+def _delete_details(connection: Connection, of: RowSeries, span_us: Position, staying_us: Sequence[int]) -> None:
     """Delete the details of the measurements of a span, both ends included, but of those that stay."""
     detail = measurement_detail.c
     is_its = (detail.spacecraft_key == of.key, detail.source_key == of.source_key, detail.epoch_us.between(*span_us))

@@ -38,7 +38,7 @@ _POWER, _FLAGS = "power_dbm_", "flags_"
 _PLACES = (2, 3, 4, 5)
 
 
-class Series(NamedTuple):
+class RowSeries(NamedTuple):
     """Rows that are sealed together: of one table, version and method of results or source and plan of measurements."""
 
     key: int
@@ -89,9 +89,9 @@ class SegmentHead(NamedTuple):
     checksum: bytes
 
 
-def series_of(head: SegmentHead, table: Table) -> Series:
+def series_of(head: SegmentHead, table: Table) -> RowSeries:
     """Return the series of a segment, whose rows come from a table."""
-    return Series(head.spacecraft_key, table, head.version, head.method, head.source_key, head.plan_id)
+    return RowSeries(head.spacecraft_key, table, head.version, head.method, head.source_key, head.plan_id)
 
 
 class MeasuredColumns(NamedTuple):

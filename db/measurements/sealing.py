@@ -12,8 +12,8 @@ from db.encoding.row_mapping import MEASUREMENT_COLUMNS, RECEIVED_AT_US, measure
 from db.encoding.segments import (
     DAY_US,
     MeasuredColumns,
+    RowSeries,
     SegmentHead,
-    Series,
     day_of,
     measured_arrays,
     read_chunk,
@@ -33,7 +33,7 @@ class MeasurementRows:
     """Measurements as they are sealed."""
 
     def read(
-        self, connection: Connection, of: Series, start_us: int, stop_us: int, limit: int
+        self, connection: Connection, of: RowSeries, start_us: int, stop_us: int, limit: int
     ) -> tuple[list[Measurement], list[Position]]:
         """Return the first rows of a span of the table, by epoch, and the places of those that are damaged."""
         is_its_detail = and_(
@@ -65,7 +65,7 @@ class MeasurementRows:
         """Return the rows of a segment; StorageError ``storage.corrupt``."""
         return list(map(read_chunk(connection, None, head).record, range(head.row_count)))
 
-    def columns_and_bins(self, of: Series, rows: Sequence[Measurement]) -> tuple[dict[str, Any], Bins]:  # noqa: ARG002
+    def columns_and_bins(self, of: RowSeries, rows: Sequence[Measurement]) -> tuple[dict[str, Any], Bins]:  # noqa: ARG002
         """Return rows as the columns of a segment, and the bins of powers and of C/N0 in the order of the plan."""
         columns = _columns(rows)
         c_n0_db_hz = columns.details[:, DETAIL_NAMES.index(_C_N0)]
@@ -85,7 +85,7 @@ def seal(database: Database, key: int, before_us: int, received_before_us: int) 
             yield _reported("" if named is None else str(named.name), change)
 
 
-def _series(database: Database, key: int, before_us: int, received_before_us: int) -> Iterator[tuple[Series, int]]:
+def _series(database: Database, key: int, before_us: int, received_before_us: int) -> Iterator[tuple[RowSeries, int]]:
     """Yield what to seal, day by day."""
     column = measurement.c
     stop_us, start_us = day_of(before_us) * DAY_US, -(1 << 62)
@@ -105,7 +105,7 @@ def _series(database: Database, key: int, before_us: int, received_before_us: in
             ).all()
         for source_key, plan_id, received_at_us in found:
             if received_at_us < received_before_us:
-                yield Series(key, measurement, source_key=source_key, plan_id=plan_id), day
+                yield RowSeries(key, measurement, source_key=source_key, plan_id=plan_id), day
 
 
 def _columns(rows: Sequence[Measurement]) -> MeasuredColumns:

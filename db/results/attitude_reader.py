@@ -14,7 +14,7 @@ from sqlalchemy import Connection, and_, func, select
 from db.encoding.measurement_runs import ChunkRun
 from db.encoding.record_codec import decode
 from db.encoding.row_mapping import attitude_of
-from db.encoding.segments import SegmentCache, Series
+from db.encoding.segments import RowSeries, SegmentCache
 from db.measurements.measurement_pages import EVER, LIGHT, Chosen, MeasurementPages
 from db.measurements.retention import kept_from_us
 from db.newest_rows import RowPages, newest_rows
@@ -64,7 +64,7 @@ class AttitudeReader:
         self._pages = MeasurementPages(connection, cache, key)
         self._key = key
         self._method = method
-        self._stored = Series(key, attitude, LIVE, method.value)
+        self._stored = RowSeries(key, attitude, LIVE, method.value)
         self._measured_from_us = kept_from_us(connection, key, "measurements")
 
     def rows(

@@ -10,7 +10,7 @@ import numpy as np
 from sqlalchemy import Connection, delete, func, not_, or_, select
 from sqlalchemy.sql.elements import ColumnElement
 
-from db.encoding.segments import DAY_US, SegmentCache, Series, heads_of_numbers, read_chunk
+from db.encoding.segments import DAY_US, RowSeries, SegmentCache, heads_of_numbers, read_chunk
 from db.measurements.measurement_pages import MAX_NUMBER
 from db.measurements.retention import kept_from_us
 from db.results.stored_rows import newest_sealed_us, stored_numbers
@@ -132,7 +132,7 @@ def _lacking(connection: Connection, key: int, window: Window, numbers: IntArray
     """Return those numbers of measurements of a window that lack a result."""
     is_whole = np.ones(len(numbers), dtype=np.bool_)
     for name in names:
-        held = stored_numbers(connection, Series(key, attitude, LIVE, name), window)
+        held = stored_numbers(connection, RowSeries(key, attitude, LIVE, name), window)
         is_whole &= np.isin(numbers, held)
     return numbers[~is_whole]
 

@@ -9,7 +9,7 @@ from sqlalchemy import Connection, func, select
 from db.database import Database
 from db.encoding.measurement_runs import unpack_carriers
 from db.encoding.row_mapping import attitude_of, torque_of
-from db.encoding.segments import DAY_US, SegmentHead, Series, day_of, heads
+from db.encoding.segments import DAY_US, RowSeries, SegmentHead, day_of, heads
 from db.measurements.retention import kept_from_us
 from db.results.replays import check_held
 from db.results.stored_rows import read_results, unsealed_rows
@@ -76,7 +76,7 @@ def carrier_figures(rows: Iterable[Any]) -> Iterator[CarrierFigures]:
 
 
 def sampled_figures(
-    database: Database, of: Series, window: Window, intervals: Intervals, columns: int
+    database: Database, of: RowSeries, window: Window, intervals: Intervals, columns: int
 ) -> Iterator[Summaries]:
     """Yield the first figures of the computed rows of a window in buckets that lie within one interval each."""
     record, quantity = (attitude_of, ATTITUDE) if of.table is attitude else (torque_of, IMPULSE)
@@ -95,7 +95,9 @@ def sampled_figures(
             yield from of_rows(rows)
 
 
-def sampled_carriers(database: Database, of: Series, window: Window, intervals: Intervals) -> Iterator[SampledCarriers]:
+def sampled_carriers(
+    database: Database, of: RowSeries, window: Window, intervals: Intervals
+) -> Iterator[SampledCarriers]:
     """Yield deviations and residuals of a window by plan, in buckets that lie within one interval each."""
     for connection, part in _seasons(database, of, window):
         found = list(heads(connection, of.of_segments(), part.start_us, part.stop_us))
@@ -124,7 +126,7 @@ def _of_carriers(rows: Iterable[Any]) -> Iterator[SampledCarriers]:
         yield SampledCarriers(plan_id, Summaries.of_rows(epochs_us, steps * STEP_DB))
 
 
-def _seasons(database: Database, of: Series, window: Window) -> Iterator[tuple[Connection, Window]]:
+def _seasons(database: Database, of: RowSeries, window: Window) -> Iterator[tuple[Connection, Window]]:
     """Yield parts of a window that hold rows, whole days but for its ends, each with a read transaction.
 
     A row is sealed or not within one transaction, and never leaves its day: each is counted once.
@@ -144,7 +146,7 @@ def _seasons(database: Database, of: Series, window: Window) -> Iterator[tuple[C
         epoch_us = stop_us
 
 
-def _next_us(connection: Connection, of: Series, epoch_us: int) -> int | None:
+def _next_us(connection: Connection, of: RowSeries, epoch_us: int) -> int | None:
     """Return an epoch up to which no row stands from the given one on; None where none follows."""
     column = of.table.c.epoch_us
     first_us = connection.scalar(select(func.min(column)).where(*of.of_rows(), column >= epoch_us))
@@ -153,7 +155,9 @@ def _next_us(connection: Connection, of: Series, epoch_us: int) -> int | None:
     return min((max(each, epoch_us) for each in found if each is not None), default=None)
 
 
-def _rows_of(connection: Connection, of: Series, found: Iterable[SegmentHead], window: Window) -> Iterator[list[Any]]:
+def _rows_of(
+    connection: Connection, of: RowSeries, found: Iterable[SegmentHead], window: Window
+) -> Iterator[list[Any]]:
     """Yield the rows of some segments, and those of a window that are not sealed, some at a time."""
     for head in found:
         yield read_results(connection, head).rows()

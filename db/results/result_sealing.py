@@ -10,7 +10,7 @@ from sqlalchemy import Connection, LargeBinary, Table, func, select, tuple_
 from db.database import Database
 from db.encoding.column_blob import arrow
 from db.encoding.row_mapping import attitude_of, torque_of
-from db.encoding.segments import DAY_US, SegmentHead, Series, day_of
+from db.encoding.segments import DAY_US, RowSeries, SegmentHead, day_of
 from db.results.result_samples import ATTITUDE, IMPULSE, carrier_figures, carriers_name, figures
 from db.results.state_history import STATES, stretch_blob, stretch_of
 from db.results.stored_rows import HEAD_COLUMNS, TABLES, read_results
@@ -26,7 +26,7 @@ class ResultRows:
     """Rows of results as they are sealed."""
 
     def read(
-        self, connection: Connection, of: Series, start_us: int, stop_us: int, limit: int
+        self, connection: Connection, of: RowSeries, start_us: int, stop_us: int, limit: int
     ) -> tuple[list[Any], list[Position]]:
         """Return the first rows of a span of the table, whole epochs, and the places of those that are damaged."""
         table = of.table
@@ -44,7 +44,7 @@ class ResultRows:
         """Return the rows of a segment; StorageError ``storage.corrupt``."""
         return read_results(connection, head).rows()
 
-    def columns_and_bins(self, of: Series, rows: Sequence[Any]) -> tuple[dict[str, Any], Bins]:
+    def columns_and_bins(self, of: RowSeries, rows: Sequence[Any]) -> tuple[dict[str, Any], Bins]:
         """Return rows as the columns of a segment, and what is summarised of them."""
         columns = zip(of.table.c, zip(*rows, strict=True), strict=True)
         arrays = {
@@ -56,7 +56,7 @@ class ResultRows:
 ROWS = ResultRows()
 
 
-def _bins(of: Series, rows: Sequence[Any]) -> Bins:
+def _bins(of: RowSeries, rows: Sequence[Any]) -> Bins:
     """Return the bins of the figures of rows, of those of their carriers by plan, and the states of live rows."""
     if of.table is not attitude:
         return bins_of(IMPULSE, *figures([torque_of(row) for row in rows]))
@@ -91,18 +91,18 @@ def seal(database: Database, key: int, before_us: int) -> Iterator[SealedResults
                 yield SealedResults(of.table.name, of.version, of.method or None, first_us, moved, sealed_rows)
 
 
-def _series(database: Database, key: int) -> Iterator[Series]:
+def _series(database: Database, key: int) -> Iterator[RowSeries]:
     """Yield what has rows in a table of rows."""
     for table in TABLES.values():
         names = [table.c[name] for name in ("version", "method") if name in table.c]
         query = select(*names).where(table.c.spacecraft_key == key).order_by(*names).limit(1)
         row = database.fetch_one(query)
         while row is not None:
-            yield Series(key, table, *row)
+            yield RowSeries(key, table, *row)
             row = database.fetch_one(query.where(tuple_(*names) > tuple(row)))
 
 
-def _days(database: Database, of: Series, stop_us: int) -> Iterator[int]:
+def _days(database: Database, of: RowSeries, stop_us: int) -> Iterator[int]:
     """Yield the days before an epoch that have rows in the table of rows."""
     start_us = -(1 << 62)
     epoch_us = of.table.c.epoch_us

@@ -16,7 +16,7 @@ from db.connection.writer import insert_new
 from db.database import Database, lock_head
 from db.encoding.measurement_runs import pack_carriers, unpack_carriers
 from db.encoding.row_mapping import attitude_of, attitude_values, torque_of, torque_values
-from db.encoding.segments import Series
+from db.encoding.segments import RowSeries
 from db.measurements.archive import store_inputs
 from db.results import result_sealing
 from db.results.attitude_reader import AttitudeReader, newest_computed
@@ -130,7 +130,7 @@ def _not_sealed(connection: Connection, key: int, version: str, results: list[Re
         wanted.setdefault(_method_of(result), []).append((result.epoch_us, result.number))
     sealed = {
         method: sealed_keys(
-            connection, Series(key, torque if method is None else attitude, version, method or ""), keys
+            connection, RowSeries(key, torque if method is None else attitude, version, method or ""), keys
         )
         for method, keys in wanted.items()
     }
@@ -278,7 +278,7 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
             if version == LIVE:
                 reader = AttitudeReader(connection, self._database.segments, key, method)
                 return reader.rows(window, limit, after, newest_first=newest_first)
-            of = Series(key, attitude, version, method.value)
+            of = RowSeries(key, attitude, version, method.value)
             rows = page_of_rows(connection, of, window, limit, after, newest_first=newest_first)
             check_held(connection, key, version)
         return [attitude_of(row) for row in rows]
@@ -289,7 +289,7 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
         """Return what a method made of the carriers at the rows of a window, by (epoch, number), where it is stored."""
         key = self._database.key(spacecraft_id)
         with self._database.read() as connection:
-            rows = stored_rows(connection, Series(key, attitude, version, method.value), window)
+            rows = stored_rows(connection, RowSeries(key, attitude, version, method.value), window)
             check_held(connection, key, version)
         return {(row.epoch_us, row.number): unpack_carriers(row.carriers) for row in rows if row.carriers is not None}
 
@@ -297,21 +297,21 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
         self, spacecraft_id: str, version: str, method: Method, window: Window, intervals: Intervals, figures: int = 3
     ) -> Iterator[Summaries]:
         """Yield the first figures of the computed rows of a window; every row is in one of the buckets."""
-        of = Series(self._database.key(spacecraft_id), attitude, version, method.value)
+        of = RowSeries(self._database.key(spacecraft_id), attitude, version, method.value)
         return sampled_figures(self._database, of, window, intervals, figures)
 
     def sampled_carriers(
         self, spacecraft_id: str, version: str, method: Method, window: Window, intervals: Intervals
     ) -> Iterator[SampledCarriers]:
         """Yield deviations and residuals of a window; every row is in one of the buckets."""
-        of = Series(self._database.key(spacecraft_id), attitude, version, method.value)
+        of = RowSeries(self._database.key(spacecraft_id), attitude, version, method.value)
         return sampled_carriers(self._database, of, window, intervals)
 
     def sampled_impulse(
         self, spacecraft_id: str, version: str, window: Window, intervals: Intervals
     ) -> Iterator[Summaries]:
         """Yield the impulse of the commands of a window; every command is in one of the buckets."""
-        of = Series(self._database.key(spacecraft_id), torque, version)
+        of = RowSeries(self._database.key(spacecraft_id), torque, version)
         return sampled_figures(self._database, of, window, intervals, _AXES)
 
     def state_history(self, spacecraft_id: str, method: Method, window: Window) -> History:
@@ -326,7 +326,7 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
             if version == LIVE:
                 computed = newest_computed(connection, key, method)
                 return computed or AttitudeReader(connection, self._database.segments, key, method).newest()
-            row = newest_row(connection, Series(key, attitude, version, method.value))
+            row = newest_row(connection, RowSeries(key, attitude, version, method.value))
         return None if row is None else attitude_of(row)
 
     def commands(
@@ -342,7 +342,7 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
         """Return computed commands in order of (epoch, number) beyond a cursor."""
         key = self._database.key(spacecraft_id)
         with self._database.read() as connection:
-            of = Series(key, torque, version)
+            of = RowSeries(key, torque, version)
             rows = page_of_rows(connection, of, window, limit, after, newest_first=newest_first)
             check_held(connection, key, version)
         return [torque_of(row) for row in rows]
@@ -351,7 +351,7 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
         """Return the newest computed command."""
         key = self._database.key(spacecraft_id)
         with self._database.read() as connection:
-            row = newest_row(connection, Series(key, torque, version))
+            row = newest_row(connection, RowSeries(key, torque, version))
         return None if row is None else torque_of(row)
 
     def results_after(
@@ -411,7 +411,7 @@ def _alignments_after(connection: Connection, key: int, epoch_us: int) -> tuple[
     rows = select(column.number, column.alignment_id).where(*is_later, column.alignment_id.is_not(None))
     found = [tuple(row) for row in connection.execute(rows)]
     for method in LIVE_METHODS:
-        of = Series(key, attitude, LIVE, method.value)
+        of = RowSeries(key, attitude, LIVE, method.value)
         for numbers, alignments in numbers_where(connection, of, "alignment_id", epoch_us):
             stated = zip(numbers.tolist(), alignments, strict=True)
             found += [(number, alignment) for number, alignment in stated if alignment is not None]

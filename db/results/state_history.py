@@ -12,7 +12,7 @@ from sqlalchemy import Connection, func, select
 
 from db.database import Database, within
 from db.encoding.column_blob import ColumnBlob, pack_columns
-from db.encoding.segments import DAY_US, SegmentHead, Series, day_of, heads, of_measurements
+from db.encoding.segments import DAY_US, RowSeries, SegmentHead, day_of, heads, of_measurements
 from db.measurements.retention import kept_from_us
 from db.schema.tables import attitude, measurement, segment
 from db.summaries import stored_blobs
@@ -45,7 +45,7 @@ def state_history(database: Database, key: int, method: str, read: EitherEnd, wi
     parts: list[History] = []
     stop_us, left = window.stop_us, MOST_ROWS
     with database.read() as connection:
-        known = _parts(connection, Series(key, attitude, LIVE, method), window)
+        known = _parts(connection, RowSeries(key, attitude, LIVE, method), window)
     for part in reversed(known):
         if isinstance(part, Stretch):
             stretches.insert(0, part)
@@ -62,7 +62,7 @@ def state_history(database: Database, key: int, method: str, read: EitherEnd, wi
     return History(*(list(chain.from_iterable(lists)) for lists in zip(*parts, strict=True)))
 
 
-def _parts(connection: Connection, of: Series, window: Window) -> list[Stretch | Window]:
+def _parts(connection: Connection, of: RowSeries, window: Window) -> list[Stretch | Window]:
     """Return the stored stretches of a window, and the windows beside them, in order."""
     found = heads(connection, of.of_segments(), day_of(window.start_us) * DAY_US, window.stop_us)
     days = {day: list(its) for day, its in groupby(found, lambda head: head.day)}
@@ -86,7 +86,7 @@ def _stretches(found: Sequence[SegmentHead], blobs: dict[int, bytes]) -> list[St
         return []
 
 
-def _whole_days(connection: Connection, of: Series, days: dict[int, list[SegmentHead]]) -> list[int]:
+def _whole_days(connection: Connection, of: RowSeries, days: dict[int, list[SegmentHead]]) -> list[int]:
     """Return the days on which each measurement that feeds has a sealed row of the series."""
     if not days:
         return []

@@ -11,7 +11,7 @@ from sqlalchemy import Connection, Table, and_, func, select
 
 from db.database import beyond, within
 from db.encoding.column_blob import ColumnBlob, Positions
-from db.encoding.segments import SegmentHead, Series, heads, heads_where, opened
+from db.encoding.segments import RowSeries, SegmentHead, heads, heads_where, opened
 from db.newest_rows import newest_rows, start_of_last
 from db.schema.columns import Figure, sound_rows
 from db.schema.tables import attitude, segment, torque
@@ -82,7 +82,7 @@ def read_results(connection: Connection, head: SegmentHead) -> ResultSegment:
 _PAGE_ROWS = 5000
 
 
-def unsealed_rows(connection: Connection, of: Series, window: Window) -> Iterator[list[Any]]:
+def unsealed_rows(connection: Connection, of: RowSeries, window: Window) -> Iterator[list[Any]]:
     """Yield the rows of the table of rows in a window, some at a time."""
     after: tuple[int, int] | None = None
     while rows := _of_table(connection, of, window, _PAGE_ROWS, after):
@@ -91,7 +91,7 @@ def unsealed_rows(connection: Connection, of: Series, window: Window) -> Iterato
 
 
 def _of_table(
-    connection: Connection, of: Series, window: Window, limit: int | None, after: tuple[int, int] | None
+    connection: Connection, of: RowSeries, window: Window, limit: int | None, after: tuple[int, int] | None
 ) -> list[Any]:
     """Return the first rows of the table of rows in a window beyond a cursor."""
     table = of.table
@@ -106,7 +106,7 @@ def _of_table(
 
 def stored_rows(
     connection: Connection,
-    of: Series,
+    of: RowSeries,
     window: Window,
     limit: int | None = None,
     after: tuple[int, int] | None = None,
@@ -129,7 +129,7 @@ def stored_rows(
 
 def page_of_rows(
     connection: Connection,
-    of: Series,
+    of: RowSeries,
     window: Window,
     limit: int,
     after: tuple[int, int] | None,
@@ -143,7 +143,7 @@ def page_of_rows(
     return newest_rows(read, start_of, window, limit, after)
 
 
-def _start_of_newest(connection: Connection, of: Series, window: Window, count: int) -> int:
+def _start_of_newest(connection: Connection, of: RowSeries, window: Window, count: int) -> int:
     """Return an epoch from which on so many rows of a window stand; its start where there are fewer."""
     epoch = of.table.c.epoch_us
     query = select(epoch).where(*of.of_rows(), within(epoch, window)).order_by(epoch.desc())
@@ -155,7 +155,7 @@ def _start_of_newest(connection: Connection, of: Series, window: Window, count: 
     return start_of_last(inside, count, start_us)
 
 
-def newest_row(connection: Connection, of: Series, before_us: int = 1 << 62) -> Any | None:
+def newest_row(connection: Connection, of: RowSeries, before_us: int = 1 << 62) -> Any | None:
     """Return the row with the greatest (epoch, number) before an epoch."""
     table = of.table
     query = select(table).where(*of.of_rows(), table.c.epoch_us < before_us)
@@ -170,7 +170,7 @@ def newest_row(connection: Connection, of: Series, before_us: int = 1 << 62) -> 
     return sealed if row is None else max(row, sealed, key=_position)
 
 
-def stored_numbers(connection: Connection, of: Series, window: Window) -> IntArray:
+def stored_numbers(connection: Connection, of: RowSeries, window: Window) -> IntArray:
     """Return the journal numbers of the rows of a window, in no order."""
     table = of.table
     query = select(table.c.number).where(*of.of_rows(), within(table.c.epoch_us, window))
@@ -183,12 +183,12 @@ def stored_numbers(connection: Connection, of: Series, window: Window) -> IntArr
 
 def newest_sealed_us(connection: Connection, key: int) -> int:
     """Return the epoch up to which live attitude may be sealed; before every epoch while none is."""
-    series = (Series(key, attitude, LIVE, method.value) for method in LIVE_METHODS)
+    series = (RowSeries(key, attitude, LIVE, method.value) for method in LIVE_METHODS)
     newest = (next(heads(connection, of.of_segments(), -(1 << 62), 1 << 62, newest_first=True), None) for of in series)
     return max((head.last_epoch_us for head in newest if head is not None), default=-(1 << 62))
 
 
-def sealed_keys(connection: Connection, of: Series, wanted: Iterable[tuple[int, int]]) -> set[tuple[int, int]]:
+def sealed_keys(connection: Connection, of: RowSeries, wanted: Iterable[tuple[int, int]]) -> set[tuple[int, int]]:
     """Return those of the wanted (epoch, number) that are sealed."""
     positions = set(wanted)
     if not positions:
@@ -224,7 +224,9 @@ def next_sealed_sequence(connection: Connection, key: int, after: int) -> int | 
     return min(found, default=None)
 
 
-def numbers_where(connection: Connection, of: Series, name: str, after_us: int) -> Iterator[tuple[IntArray, list[Any]]]:
+def numbers_where(
+    connection: Connection, of: RowSeries, name: str, after_us: int
+) -> Iterator[tuple[IntArray, list[Any]]]:
     """Yield numbers of sealed rows later than an epoch, and the column of that name beside them."""
     for head in heads(connection, of.of_segments(), after_us + 1, 1 << 62):
         each = read_results(connection, head)

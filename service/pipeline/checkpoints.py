@@ -204,7 +204,9 @@ class ChainState(NamedTuple):
     last: tuple[Measurement, bool] | None
 
 
-_LAYOUT = Layout(ChainState, (CARRIER, WATCH, READING, COUNTERS, FADE, PENDING, LEVEL))
+#: records of arrays of the state
+RECORDS = (CARRIER, WATCH, READING, COUNTERS, FADE, PENDING, LEVEL)
+_LAYOUT = Layout(ChainState, RECORDS)
 
 
 def fingerprint(config: ChainConfig) -> str:

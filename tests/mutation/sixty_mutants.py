@@ -39,15 +39,15 @@ CORE = (
     # an instant at a node belongs to the orbit before
     Mutant("latest_node_us", 'side="right"', 'side="left"'),
     Mutant("fit_harmonics", "np.arctan2(-a2, a1)", "np.arctan2(a2, a1)"),
-    Mutant("fade_sign_test", "present < -depth_db", "present < depth_db"),
+    Mutant("fade_sign_test", "value < -depth_db", "value < depth_db"),
     # minutes of rain before a gap count after it
-    Mutant("step_fade_watch", "(0.0, 0.0, 0.0) if is_gap", "(state.wet_s, state.dry_s, elapsed_s) if is_gap"),
+    Mutant("step_fade_watch", "wet_s, dry_s, elapsed_s = 0.0, 0.0, 0.0", "wet_s = 0.0"),
     # slopes of negative angles change their sign
     Mutant("one_sided_columns", "np.minimum(angle_deg, 0.0)", "-np.minimum(angle_deg, 0.0)"),
     # a new level stays correlated with the attitude
     Mutant("restart_carrier", "covariance[:, place] = 0.0", "covariance[place, :] = 0.0"),
     # drift without process noise: sigma too small
-    Mutant("step_motion", "_drift_noise(model, hours, drift_scale)", "np.zeros((9, 9))"),
+    Mutant("step_motion", "drift_noise(model, hours, drift_scale)", "np.zeros((9, 9))"),
     Mutant(
         "update_state",
         "covariance[i, j] -= 0.5 * (product[i, j] + product[j, i])",
@@ -68,8 +68,10 @@ PIPELINE = (
     # flags of another plan are taken
     Mutant("_has_width", "(masks is None or len(masks) == width)", "True"),
     # a second row of one epoch moves the filter again
-    Mutant("Chain.step", "measurement.epoch_us <= (self._newest_us", "measurement.epoch_us < (self._newest_us"),
-    Mutant("remove_harmonic", "power_dbm - expected_dbm", "expected_dbm - power_dbm"),
+    Mutant("Chain.steps", "each.epoch_us <= newest_us", "each.epoch_us < newest_us"),
+    Mutant(
+        "_deviation_db", 'row.power_dbm[k] - levels["expected_dbm"][k]', 'levels["expected_dbm"][k] - row.power_dbm[k]'
+    ),
     # a turn of yaw leaves roll alone
     Mutant("rates_deg_h", "[-coupling_per_h * roll,", "[coupling_per_h * roll,"),
     # an angle that is far away allows control
@@ -77,8 +79,8 @@ PIPELINE = (
     # yaw and roll are judged, pitch is not
     Mutant(
         "filtered_rows",
-        "max(abs(attitude_deg[1]), abs(attitude_deg[2]))",
-        "max(abs(attitude_deg[0]), abs(attitude_deg[1]))",
+        "max(abs(attitude_deg.roll), abs(attitude_deg.pitch))",
+        "max(abs(attitude_deg.yaw), abs(attitude_deg.roll))",
     ),
     Mutant("push_readings", ">= _ROWS and is_lasting", ">= _ROWS or is_lasting"),
     # the angle at the alignment counts twice
@@ -139,7 +141,7 @@ ARCHIVE = (
     # a former leader writes on
     Mutant("FileLeases.under", "if self._is_wanted and not", "if not self._is_wanted and not"),
     # content does not enter the checksum of a sealed day
-    Mutant("crc32_of", 'zlib.crc32(b"" if blob is None else blob, crc)', 'zlib.crc32(b"", crc)'),
+    Mutant("opened", '"content": content}', '"content": None}'),
     # rows of one epoch are lost where a page ends between them
     Mutant("newest_rows", "before[0] + 1", "before[0]"),
     Mutant("SequenceNumbers._advanced", "block.first - tail.last - 1", "block.first - tail.last"),

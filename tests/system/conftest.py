@@ -17,7 +17,7 @@ from release_ground import seed_archive
 from service_process import KEY, ServiceProcess, serving_on
 from storage_trial import Trial
 
-from service.pipeline.first_rows import compile_filter
+from service.pipeline.first_rows import compile_rows
 
 
 @pytest.fixture(scope="session")
@@ -44,7 +44,7 @@ for arguments, environment in json.load(sys.stdin):
 @pytest.fixture(scope="session")
 def compiled_environment() -> dict[str, str]:
     """Return an environment in which processes share what Python and numba compile; the filter is compiled."""
-    compile_filter()
+    compile_rows()
     return dict(os.environ)
 
 

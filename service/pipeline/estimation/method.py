@@ -60,7 +60,7 @@ def no_disturbance() -> None:
 
 
 class MethodRow(NamedTuple):
-    """What a method makes of a row in time."""
+    """Row of a method in time, with what else it made of the powers."""
 
     row: AttitudeRow
     #: figures of the carriers, None where nothing was computed; they are not copied

@@ -56,7 +56,7 @@ MOTION = np.dtype(
 
 
 class Commanded(NamedTuple):
-    """What was commanded since an estimate."""
+    """Commanded motion since an estimate."""
 
     #: of `MOTION`
     motions: NDArray[np.void]
@@ -171,8 +171,8 @@ def _weighted_fix(
 def turn_to_axes(matrix: FloatArray, axes: FloatArray) -> None:
     """Turn a symmetric matrix (3, 3) to its principal axes, the columns of what was the unit matrix (Jacobi)."""
     for _ in range(_SWEEPS):
-        beside = abs(matrix[0, 1]) + abs(matrix[0, 2]) + abs(matrix[1, 2])
-        if beside <= _DIAGONAL * (matrix[0, 0] + matrix[1, 1] + matrix[2, 2]):
+        off_diagonal = abs(matrix[0, 1]) + abs(matrix[0, 2]) + abs(matrix[1, 2])
+        if off_diagonal <= _DIAGONAL * (matrix[0, 0] + matrix[1, 1] + matrix[2, 2]):
             break
         for p in range(2):
             for q in range(p + 1, 3):

@@ -189,10 +189,10 @@ def take_row(
     """
     limits, plus, minus, newest = model.limits[0], model.plus, model.minus, state
     gates, epoch_us = (limits["gate_db"], limits["gate_sigma"], limits["min_carriers"]), row.epoch_us
-    mean_db, rows, span_s, dt_s = _deviation_db(model, row, levels), 1, 0.0, 0.0
+    mean_db, rows, span_s, dt_s = _left_by_harmonic_db(model, row, levels), 1, 0.0, 0.0
     if not row.is_late:
         newest, dt_s = after, _push(limits, state, after, epoch_us, mean_db)
-    counters, watches, times_us, window_db = newest.counters, newest.watches, newest.window_us, newest.window_db
+    counters, watches, times_us, window_db = newest[:4]
     change_db, _ = trailing_mean(times_us, window_db, counters["rows"][0], limits["fade_averaging_us"], 1)
     _leave_selected(model, change_db)
     if not row.is_late:
@@ -206,9 +206,8 @@ def take_row(
             predict_estimate(model.motion, model.lasting_deg2, mean, covariance, commanded, from_us, epoch_us)
             left_db = _left_db(plus, minus, change_db, mean)
         watch_fades(watches, limits, dt_s, change_db, left_db, left_by_turn)
-        span_us = limits["averaging_us"]
-        mean_db, rows = trailing_mean(times_us, window_db, counters["rows"][0], span_us, limits["min_rows"])
-        last = counters["rows"][0] - 1
+        count, span_us, last = counters["rows"][0], limits["averaging_us"], counters["rows"][0] - 1
+        mean_db, rows = trailing_mean(times_us, window_db, count, span_us, limits["min_rows"])
         span_s = (times_us[last] - times_us[last + 1 - rows]) / _US_PER_S
     considered_db = mean_db.copy()
     _leave_selected(model, considered_db)
@@ -241,7 +240,7 @@ def take_row(
     _write_angles(mean, covariance, model.motion.plant["coupling_per_h"][0], result)
 
 
-def _deviation_db(model: PaperArrays, row: PaperRow, levels: NDArray[np.void]) -> FloatArray:
+def _left_by_harmonic_db(model: PaperArrays, row: PaperRow, levels: NDArray[np.void]) -> FloatArray:
     """Return the deviation (N,) of the powers, and write it with the expected powers."""
     carriers = model.carriers
     deviation_db = np.empty(len(carriers))

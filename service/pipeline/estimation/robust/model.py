@@ -105,12 +105,12 @@ class RobustModel:
 
     @cached_property
     def has_sensors(self) -> bool:
-        """Whether records of other sensors may change the state between two rows."""
+        """True where records of other sensors may change the state between two rows."""
         return bool(self.settings.momentum or self.settings.polarimeters or self.rate_sensor)
 
     @cached_property
     def is_pushed(self) -> bool:
-        """Whether a torque acts that is not fed forward."""
+        """True where a torque acts that is not fed forward."""
         return is_pushed(self.settings)
 
     def expected_dbm(self, epoch_us: int) -> FloatArray:

@@ -126,14 +126,14 @@ def test_a_method_that_fails_says_so_in_its_row_and_the_other_goes_on(flight, mo
     for one in (flight, plain):
         one.run(range(1, 20))
     runner = next(one for one in flight.chain._runners if one.method is failing)
-    real = type(runner).step
+    real = type(runner).steps
 
-    def broken(self, measurement, *args, **options):
+    def broken(self, measurements, **options):
         if self is runner:
             raise np.linalg.LinAlgError
-        return real(self, measurement, *args, **options)
+        return real(self, measurements, **options)
 
-    monkeypatch.setattr(type(runner), "step", broken)
+    monkeypatch.setattr(type(runner), "steps", broken)
     reported, wanted = flight.feed(noisy(flight, 20)), plain.feed(noisy(plain, 20))
     other = next(method for method in BOTH if method is not failing)
     assert repr(reported[other]) == repr(wanted[other])

@@ -87,7 +87,7 @@ def test_another_statement_of_the_catalogue_brings_widens_and_ends_the_torque(mo
     np.testing.assert_array_equal(ended.mean, calm.mean)
 
 
-def test_another_profile_is_learned_anew_and_none_ends_it(model):
+def test_another_profile_is_learned_again_and_none_ends_it(model):
     pushed = aligned(model, TOLD)
     pushed.mean[core_size(model)] = 0.3
     twice = TOLD._replace(fed_forward=TOLD.fed_forward._replace(cosine_deg_h2=(3.2, 7.8, 0.0)))
@@ -196,7 +196,7 @@ def test_unknown_carriers_show_their_level_first(old, steered):
     assert (np.abs(reported.attitude_deg) < 4.0 * np.sqrt(np.diagonal(reported.covariance_deg2))).all()
 
 
-def test_a_staying_carrier_whose_level_is_void_begins_anew(old, steered):
+def test_a_staying_carrier_whose_level_is_void_begins_again(old, steered):
     unknown = np.arange(len(PLACE)) == 2
     after = changed(old, steered, is_unknown=unknown)
     positions = carrier_states(picked(old, PLACE), np.array([2]))[:, 0]
@@ -216,7 +216,7 @@ def test_another_ladder_of_correlation_times_begins_at_its_stationary_noise(old,
     np.testing.assert_array_equal(np.diagonal(after.covariance)[11:13], new.common_sigma_db**2)
 
 
-def test_doubts_about_commands_stay_and_their_sums_begin_anew(old, steered):
+def test_doubts_about_commands_stay_and_their_sums_begin_again(old, steered):
     steered = steered.with_watch(share=-1.0, doubted_minutes=20.0, score=1.0, information=1.0)
     after = changed(old, steered._replace(sensitivity=np.ones_like(steered.sensitivity)))
     assert (after.watch["share"][0], after.watch["doubted_minutes"][0]) == (-1.0, 20.0)
@@ -235,6 +235,6 @@ def test_what_was_found_of_staying_carriers_goes_with_them(old, steered):
     np.testing.assert_allclose(after.carriers["aligned_reference_db"][STAYING], staying + 0.7)
     np.testing.assert_array_equal(after.aside_db[:, STAYING], steered.aside_db[:, PLACE[STAYING]] + 0.7)
     assert not after.carriers["up"][~STAYING].any()
-    # the anchor asks anew
+    # the anchor asks again
     assert np.isnan(after.anchor).all()
     assert after.watch["anchor_minutes"][0] == 0

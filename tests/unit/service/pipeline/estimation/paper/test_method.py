@@ -13,7 +13,7 @@ from service.core.estimation.paper.loop_observer import known_motion
 from service.core.estimation.paper.row import LEVEL, RESULT, write_fix
 from service.core.estimation.paper.snapshot import predict_deviation_db
 from service.core.geometry.frames import AntennaDirection
-from service.pipeline.checkpoints import Layout
+from service.pipeline.checkpoints import RECORDS, Layout
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.paper.paper_model import (
     ExpectedPower,
@@ -225,7 +225,7 @@ def test_a_state_is_never_changed_and_holds_no_row_of_the_caller(bench):
 
 def test_a_state_goes_on_from_its_bytes_bit_for_bit_and_as_fast(bench):
     bench.run(range(1, 20))
-    layout, state = Layout(SavedPaper), bench.state
+    layout, state = Layout(SavedPaper, RECORDS), bench.state
     bench.run(range(20, 25))
     ahead = bench.state
     bench.state = layout.unpack(layout.pack(SavedPaper(state, None, None)), SavedPaper).state

@@ -17,7 +17,7 @@ from service.core.estimation.filtering.readings import frozen_readings, no_readi
 from service.core.estimation.filtering.state_changes import sensors_first, with_share
 from service.pipeline.estimation.robust.method import carried_state
 from service.pipeline.estimation.robust.row_recorder import RowRecorder
-from service.pipeline.estimation.robust.runner import with_momenta, with_polarization, with_rates
+from service.pipeline.estimation.robust.sensor_records import with_momenta, with_polarization, with_rates
 from service.records.calibration import GatheredTorque
 from service.records.catalogue import BodyRateSensor, Polarimeter, WheelMomentum
 from service.records.inputs import PolarizationRecord, TelemetryRecord
