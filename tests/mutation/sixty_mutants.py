@@ -70,7 +70,9 @@ PIPELINE = (
     # a second row of one epoch moves the filter again
     Mutant("Chain.steps", "each.epoch_us <= newest_us", "each.epoch_us < newest_us"),
     Mutant(
-        "_left_by_harmonic_db", 'row.power_dbm[k] - levels["expected_dbm"][k]', 'levels["expected_dbm"][k] - row.power_dbm[k]'
+        "_left_by_harmonic_db",
+        'row.power_dbm[k] - levels["expected_dbm"][k]',
+        'levels["expected_dbm"][k] - row.power_dbm[k]',
     ),
     # a turn of yaw leaves roll alone
     Mutant("rates_deg_h", "[-coupling_per_h * roll,", "[coupling_per_h * roll,"),
