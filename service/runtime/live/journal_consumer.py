@@ -126,7 +126,7 @@ def consume(chain: Chain, entry: JournalEntry, archive: Archive, spacecraft_id: 
         return
     chain.update(content)
     if isinstance(content, AlignmentSet) and chain.knowledge.alignment is not None:
-        rows = archive.measurements_after(spacecraft_id, chain.knowledge.alignment.epoch_us, entry.number)
+        rows = iter(archive.measurements_after(spacecraft_id, chain.knowledge.alignment.epoch_us, entry.number))
         while block := list(islice(rows, BLOCK_ROWS)):
             yield from (each for each in chain.steps(block, is_catch_up=True) if each is not None)
 

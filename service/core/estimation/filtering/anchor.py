@@ -277,14 +277,14 @@ def _merge_rest(
             greatest = max(greatest, candidate[place])
             if candidate[place] <= least:
                 least, after.regime[last] = candidate[place], before.regime[place // BRANCHES]
-    total, mean, covariance = 0.0, np.zeros(4), np.zeros((4, 4))
+    total, mean, covariance, of_parent = 0.0, np.zeros(4), np.zeros((4, 4)), np.zeros(KEPT)
     after.mean[last], after.covariance[last], after.share[last] = 0.0, 0.0, 0.0
     for place in range(len(candidate)):
         if not is_chosen[place]:
             part, parent = math.exp(candidate[place] - greatest), place // BRANCHES
             total += part
+            of_parent[parent] += part
             _moved(before, parent, across[parent], variance[place], surprise[place], mean, covariance)
-            after.share[last] += part * before.share[parent]
             for i in range(4):
                 after.mean[last, i] += part * mean[i]
                 for j in range(4):
@@ -294,7 +294,12 @@ def _merge_rest(
         if not is_chosen[place]:
             own[place % BRANCHES] += math.exp(candidate[place] - greatest) / total
     after.log_weight[last] = greatest + math.log(total)
-    after.share[last] /= total
+    for parent in range(KEPT):
+        part = of_parent[parent] / total
+        if part > 0.0:
+            for other in range(after.share.shape[1]):
+                for branch in range(BRANCHES):
+                    after.share[last, other, branch] += part * before.share[parent, other, branch]
     after.share[last, carrier] = own
     after.mean[last] /= total
     for i in range(4):

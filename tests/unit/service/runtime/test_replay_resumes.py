@@ -32,8 +32,9 @@ class KilledError(BaseException):
 
 @pytest.fixture(autouse=True)
 def _often(monkeypatch):
-    """Checkpoints at every piece."""
+    """Checkpoints at every piece, which holds the rows of one block and no more."""
     monkeypatch.setattr(replay_run, "_CHECKPOINT_S", 0.0)
+    monkeypatch.setattr(replay_run, "BLOCK_ROWS", 5)
     monkeypatch.setattr(replay_run, "_OUTCOMES_AT_ONCE", 7)
 
 
@@ -110,7 +111,7 @@ def test_damaged_bytes_of_a_checkpoint_are_never_more_than_a_warning(busy, monke
         content = bytearray(kept.content)
         content[dice.randrange(len(content))] ^= 1 << dice.randrange(8)
         state = state_of(
-            SC, replace(kept, content=bytes(content[: dice.choice([len(content), dice.randrange(40000)])]))
+            SC, replace(kept, content=bytes(content[: dice.choice([len(content), dice.randrange(len(content))])]))
         )
         unread += state is None
         # a bit of a date in the file's directory changes nothing

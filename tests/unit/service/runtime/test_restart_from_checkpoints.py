@@ -183,13 +183,18 @@ def test_a_replay_goes_on_from_the_newest_state_before_its_span(opened_archive, 
     with station.supervised() as settle:
         for _ in morning(station):
             settle()
-    consumed, consume = [], replay_run.consume
+    consumed, consume, consume_rows = [], replay_run.consume, replay_run.consume_rows
 
     def counted(chain, entry, *rest):
         consumed.append(entry.number)
         return consume(chain, entry, *rest)
 
+    def counted_rows(chain, rows):
+        consumed.extend(row.number for row in rows)
+        return consume_rows(chain, rows)
+
     monkeypatch.setattr(replay_run, "consume", counted)
+    monkeypatch.setattr(replay_run, "consume_rows", counted_rows)
     newest_number = station.storage.archive.head(SC).newest_number
     for start, stop in ((30, 58), (75, 79), (100, 140), (125, 140)):
         consumed.clear()
