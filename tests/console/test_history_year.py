@@ -26,8 +26,8 @@ from service.records.levels.measurement import MeasurementBatch
 DAYS = 365
 MINUTE_US = 60_000_000
 FIRST_US = OPERATION_US // DAY_US * DAY_US - DAYS * DAY_US
-#: s; twice the figures that are reached on an idle machine
-REQUEST_S, DRAWN_S, ZOOM_S = 0.6, 2.0, 0.5
+#: s; some three times the figures that are reached on an idle machine: they find a request of rows in place of bins
+REQUEST_S, DRAWN_S, ZOOM_S = 1.5, 3.0, 1.5
 REPEATS = 5
 #: opens a view
 OPEN = "(hash) => { window.began = performance.now(); location.hash = hash; }"
