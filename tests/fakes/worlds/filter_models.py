@@ -14,6 +14,7 @@ from service.core.estimation.filtering.filter_model import (
     FilterSettings,
     Gaussian,
     KnownMotion,
+    carrier_states,
     initial_gaussian,
     no_motion,
 )
@@ -116,3 +117,8 @@ def updated(model: FilterModel, state: FilterState, deviation_db: FloatArray, in
     is_done, nis = update_state(model, after, deviation_db, innovation, shift, found, empty_trace(0, 0, 0))
     assert is_done
     return Updated(after, nis, shift)
+
+
+def reference_states(model: CarrierModel, carriers: IntArray, hidden: int = 0) -> IntArray:
+    """Return the places (n,) of the reference errors of some carriers: the last of their states."""
+    return carrier_states(model, carriers, hidden)[-1]

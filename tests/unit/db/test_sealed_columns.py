@@ -183,7 +183,7 @@ def test_a_day_of_two_decimals_takes_a_fifth_of_its_powers():
 
 
 def test_any_wrong_bit_changes_the_checksum():
-    """Those of the footer too, which no checksum of a page covers."""
+    """Every byte of a blob counts, the footer too, which no checksum of a page covers."""
     rows = steady(20, 4)
     blob = pack_columns(measured_arrays(rows))
     values = {**head_of(rows)._asdict(), "content": blob}

@@ -316,11 +316,6 @@ def carrier_states(model: CarrierModel, carriers: IntArray, hidden: int = 0) -> 
     return np.asarray(blocks[:, None] + carriers[None, :])
 
 
-def reference_states(model: CarrierModel, carriers: IntArray, hidden: int = 0) -> IntArray:
-    """Return the places (n,) of the reference errors of some carriers."""
-    return np.asarray(core_size(model, hidden) + model.carriers * model.components + carriers)
-
-
 def initial_gaussian(
     model: CarrierModel,
     attitude_deg: FloatArray,

@@ -158,7 +158,7 @@ class Series:
 
 @pytest.fixture(autouse=True)
 def _at_once(monkeypatch):
-    """What is due is looked for at every poll."""
+    """The next poll follows at once."""
     monkeypatch.setattr(job_runner, "POLL_S", 0.0)
 
 

@@ -5,6 +5,7 @@ from itertools import product
 import filter_models
 import numpy as np
 import pytest
+from filter_models import reference_states
 from mixture_models import CALM, PRIOR, STORM, branches, jacobian
 
 import service.core.estimation.filtering.anchor as module
@@ -24,7 +25,7 @@ from service.core.estimation.filtering.anchor import (
     solve_mixture,
     start_again,
 )
-from service.core.estimation.filtering.filter_model import ATTITUDE, DRIFT, Gaussian, reference_states
+from service.core.estimation.filtering.filter_model import ATTITUDE, DRIFT, Gaussian
 from service.core.estimation.filtering.filter_state import start
 from service.core.estimation.filtering.integrity import assess
 from service.core.estimation.filtering.plant import filter_model

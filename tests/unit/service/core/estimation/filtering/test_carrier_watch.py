@@ -3,6 +3,7 @@
 import filter_models
 import numpy as np
 import pytest
+from filter_models import reference_states
 
 from service.core.estimation.filtering.carrier_watch import (
     MIN_BACK_MINUTES,
@@ -19,7 +20,7 @@ from service.core.estimation.filtering.carrier_watch import (
     trusted,
     watch_flagged,
 )
-from service.core.estimation.filtering.filter_model import ATTITUDE, carrier_states, core_size, reference_states
+from service.core.estimation.filtering.filter_model import ATTITUDE, carrier_states, core_size
 from service.core.estimation.filtering.filter_state import STANDING_ROWS, start
 from service.core.estimation.filtering.plant import filter_model
 

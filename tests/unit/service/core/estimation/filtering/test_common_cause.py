@@ -3,6 +3,7 @@
 import filter_models
 import numpy as np
 import pytest
+from filter_models import reference_states
 
 from service.core.estimation.filtering.common_cause import (
     ATTITUDE_JUMP,
@@ -21,7 +22,7 @@ from service.core.estimation.filtering.common_cause import (
     suspicion,
     widen_cause,
 )
-from service.core.estimation.filtering.filter_model import ATTITUDE, CHAIN, RAIN, pattern_change, reference_states
+from service.core.estimation.filtering.filter_model import ATTITUDE, CHAIN, RAIN, pattern_change
 from service.core.estimation.filtering.filter_state import start
 from service.core.estimation.filtering.plant import filter_model
 from service.core.estimation.filtering.prediction import Innovation

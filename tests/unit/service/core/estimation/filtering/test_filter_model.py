@@ -2,6 +2,7 @@
 
 import filter_models
 import numpy as np
+from filter_models import reference_states
 
 from service.core.estimation.filtering.filter_model import (
     ATTITUDE,
@@ -9,7 +10,6 @@ from service.core.estimation.filtering.filter_model import (
     core_size,
     model_error_component,
     pattern_change,
-    reference_states,
 )
 from service.core.estimation.filtering.filter_state import start
 from service.core.estimation.filtering.plant import filter_model

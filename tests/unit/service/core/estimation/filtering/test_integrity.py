@@ -1,4 +1,4 @@
-"""Whether control may use an attitude, why not, and what is lost by waiting."""
+"""Integrity of a row: permission of control, its reasons, and the loss by waiting."""
 
 import filter_models
 import numpy as np

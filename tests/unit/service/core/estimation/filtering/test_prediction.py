@@ -3,6 +3,7 @@
 import filter_models
 import numpy as np
 import pytest
+from filter_models import reference_states
 
 from service.core.estimation.filtering.attitude_filter import step
 from service.core.estimation.filtering.declared import nothing_declared
@@ -18,7 +19,6 @@ from service.core.estimation.filtering.filter_model import (
     core_size,
     no_motion,
     pattern_change,
-    reference_states,
 )
 from service.core.estimation.filtering.filter_state import start
 from service.core.estimation.filtering.plant import filter_model
