@@ -21,8 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from service.core.estimation.filtering.advance import advance
-from service.core.estimation.filtering.attitude_filter import step
-from service.core.estimation.filtering.filter_model import CarrierModel, no_motion
+from service.core.estimation.filtering.filter_model import CarrierModel
 from service.core.estimation.filtering.filter_state import FilterState, start
 from service.core.estimation.filtering.plant import FilterModel, filter_model
 from service.core.estimation.filtering.row_block import TAKEN, empty_block, empty_result
@@ -130,7 +129,9 @@ def live_s(carriers: int, steps: int, seed: int = 5) -> float:
     (model, state), taken = _filter(carriers), []
     for row, row_db in enumerate(_deviations_db(carriers, steps, seed), start=1):
         began = time.thread_time()
-        state = step(model, state, START_US + row * MINUTE, row_db, no_motion()).state
+        block, result = empty_block(1, carriers), empty_result(1, carriers)
+        block.rows["epoch_us"], block.carriers["deviation_db"] = START_US + row * MINUTE, row_db
+        state = advance(model, state, block, result)
         taken.append(time.thread_time() - began)
     return statistics.fmean(taken[_SETTLING:])
 

@@ -1,10 +1,15 @@
 """Entry of compiled functions: one form of arguments, compiled at the first call."""
 
+import gc
 from collections.abc import Callable, Sequence
 from types import ModuleType
 from typing import Any
 
 import numpy as np
+
+
+#: thresholds of the collector while something is compiled
+_FEWER_COLLECTIONS = (20_000, 50, 10)
 
 
 class CompiledEntry:
@@ -38,8 +43,13 @@ class CompiledEntry:
         # the import costs a quarter of a second: only a program that computes rows pays it
         from service.core.machine_code import compiled_with
 
-        compiled = compiled_with(self._run, self._modules)
-        result = compiled(*_plain(args))
+        compiled, limits = compiled_with(self._run, self._modules), gc.get_threshold()
+        # a sixth of the compiler's time: the collector goes over what it builds again and again
+        gc.set_threshold(*_FEWER_COLLECTIONS)
+        try:
+            result = compiled(*_plain(args))
+        finally:
+            gc.set_threshold(*limits)
         if compiled is not self._run:
             compiled.disable_compile()
         self._compiled = compiled

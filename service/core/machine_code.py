@@ -15,6 +15,8 @@ from numba.extending import register_jitable
 
 # half of the compiler's time, and rows as fast: loops over some carriers gain nothing by vector code or more passes
 _LEVELS = (("LOOP_VECTORIZE", 0), ("SLP_VECTORIZE", 0), ("OPT", 1))
+#: nothing but compiled functions calls the functions of a module
+_INNER = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 #: functions that compiled ones may call
 _CALLED: set[FunctionType] = set()
 
@@ -71,7 +73,7 @@ def compiled_with(run: Callable[..., Any], modules: Sequence[ModuleType]) -> Any
         for part in vars(module).values():
             if isinstance(part, FunctionType) and part.__module__ == module.__name__ and part not in _CALLED:
                 _CALLED.add(part)
-                register_jitable(part)
+                register_jitable(**_INNER)(part)
     # the loader of a module has its source wherever it was installed
     sources = (vars(module)["__loader__"].get_source(module.__name__) for module in modules)
     return compiled(run, hashlib.sha256("".join(map(str, sources)).encode()).hexdigest())

@@ -180,35 +180,35 @@ class Chain:
         if not self.is_running:
             self._last = (measurement, False)
             return None
-        rows = self._rows([measurement], is_late=True, is_catch_up=is_catch_up)
-        return Outcome(tuple(each.row for each in rows[0]), None)
+        plan = self._lookup.plan(measurement.plan_id)
+        by_method = self._rows([measurement], plan, is_late=True, is_catch_up=is_catch_up)
+        return Outcome(tuple(each.row for rows in by_method for each in rows), None)
 
     def _block(self, measurements: list[Measurement], *, is_catch_up: bool) -> list[Outcome | None]:
         """Return the outcomes of rows in time of one plan."""
         if not measurements:
             return []
         plan = self._lookup.plan(measurements[0].plan_id)
+        by_method = self._rows(measurements, plan, is_late=False, is_catch_up=is_catch_up)
+        carriers = [carrier_results(rows, measurements, plan) for rows in by_method]
         outcomes: list[Outcome | None] = []
-        for measurement, found in zip(
-            measurements, self._rows(measurements, is_late=False, is_catch_up=is_catch_up), strict=True
-        ):
+        for number, measurement in enumerate(measurements):
             self._last = (measurement, True)
             self._remember_epoch(measurement.epoch_us)
-            rows = tuple(each.row for each in found)
-            self._disagreement = compare(self._disagreement, rows, self._config.robust)
-            outcomes.append(self._with_command(found, carrier_results(found, measurement, plan)))
+            found = [rows[number] for rows in by_method]
+            self._disagreement = compare(self._disagreement, [each.row for each in found], self._config.robust)
+            outcomes.append(self._with_command(found, tuple([each[number] for each in carriers])))
         return outcomes
 
     def _rows(
-        self, measurements: list[Measurement], *, is_late: bool, is_catch_up: bool
-    ) -> list[tuple[MethodRow, ...]]:
-        """Return what each method that runs makes of each row."""
-        plan = self._lookup.plan(measurements[0].plan_id)
-        running = [runner for runner in self._runners if runner.is_running]
-        by_method = [
-            self._rows_of(runner, measurements, plan, is_late=is_late, is_catch_up=is_catch_up) for runner in running
+        self, measurements: list[Measurement], plan: CarrierPlan, *, is_late: bool, is_catch_up: bool
+    ) -> list[list[MethodRow]]:
+        """Return the rows that each method that runs makes of measurements of one plan."""
+        return [
+            self._rows_of(runner, measurements, plan, is_late=is_late, is_catch_up=is_catch_up)
+            for runner in self._runners
+            if runner.is_running
         ]
-        return list(zip(*by_method, strict=True))
 
     def saved(self) -> ChainState | None:
         """Return the state after the newest entry; None where the chain cannot be saved now.
@@ -290,7 +290,7 @@ class Chain:
     ) -> list[MethodRow]:
         """Return a method's rows; numbers that break the computation of one make a row that says so."""
         take = partial(runner.steps, plan=plan, knowledge=self._knowledge, is_late=is_late, is_catch_up=is_catch_up)
-        if len(measurements) > 1 and runner.method is Method.ROBUST:
+        if len(measurements) > 1:
             try:
                 return take(measurements)
             except _BROKEN:
@@ -337,9 +337,9 @@ class Chain:
         periods_us = [later - earlier for earlier, later in pairwise(self._recent_us.tolist())]
         return float(statistics.median(periods_us)) / US_PER_S
 
-    def _with_command(self, found: tuple[MethodRow, ...], carriers: tuple[CarrierResults | None, ...]) -> Outcome:
+    def _with_command(self, found: Sequence[MethodRow], carriers: tuple[CarrierResults | None, ...]) -> Outcome:
         """Return the outcome of a row with the torque command that follows from it."""
-        rows = tuple(each.row for each in found)
+        rows = tuple([each.row for each in found])
         spacecraft, apart_deg = self._knowledge.spacecraft, self._disagreement.apart_deg
         if spacecraft is None or not self._has_commands:
             return Outcome(rows, None, disagreement_deg=apart_deg, carriers=carriers)

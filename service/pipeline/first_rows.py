@@ -8,23 +8,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from service.core.estimation.filtering.attitude_filter import step
+from service.core.estimation.filtering.advance import advance
 from service.core.estimation.filtering.filter_model import (
     CarrierModel,
     FilterSettings,
     initial_gaussian,
     no_carriers,
-    no_motion,
 )
 from service.core.estimation.filtering.filter_state import start
 from service.core.estimation.filtering.plant import filter_model
 from service.core.estimation.filtering.readings import frozen_readings, no_readings
+from service.core.estimation.filtering.row_block import empty_block, empty_result
 from service.core.estimation.paper import row as paper_row
 from service.core.estimation.paper.downlink_fade import LIMITS
 from service.core.estimation.paper.loop_observer import initial_estimate
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.compute_command import NO_CARRY, compute_command
-from service.pipeline.estimation.paper.runner import TAKE_ROW, with_room
+from service.pipeline.estimation.paper.runner import TAKE_ROWS
 from service.pipeline.inputs.known_motion import CommandedMotion, commanded_arrays
 from service.records.catalogue import ControlSettings, Method, Release, Site, Spacecraft
 from service.records.levels.attitude import Axes, row_without_attitude
@@ -36,7 +36,7 @@ _CARRIERS = 8
 def compile_rows() -> None:
     """Take rows of eight carriers by both methods, and compute their torques."""
     _filter_rows()
-    _take_paper_row()
+    _take_paper_rows()
     for release in (Release.TWO_STEP, Release.AUTOMATIC):
         _compute_command(release)
 
@@ -45,12 +45,13 @@ def _filter_rows() -> None:
     model, random = _payload(_CARRIERS), np.random.default_rng(1)
     sigma_deg, sigma_db = np.full(3, 0.01), np.full(model.carriers, 0.03)
     aligned = initial_gaussian(model, np.zeros(3), sigma_deg, sigma_db, drift_deg_h=(0.1, 0.1, 0.1))
-    state, deviation_db = start(model, 0, aligned), random.normal(0.0, 0.1, model.carriers)
-    step(filter_model(model), state, _MINUTE_US, deviation_db, no_motion())
+    block = empty_block(1, _CARRIERS)
+    block.rows["epoch_us"], block.carriers["deviation_db"] = _MINUTE_US, random.normal(0.0, 0.1, _CARRIERS)
+    advance(filter_model(model), start(model, 0, aligned), block, empty_result(1, _CARRIERS))
     frozen_readings(no_readings(_CARRIERS), np.zeros(1, dtype=np.int64), np.zeros((1, _CARRIERS)))
 
 
-def _take_paper_row() -> None:
+def _take_paper_rows() -> None:
     slopes, parts = np.zeros((_CARRIERS, 3)), np.ones((_CARRIERS, 1))
     model = paper_row.PaperArrays(
         np.zeros(1, LIMITS),
@@ -65,9 +66,10 @@ def _take_paper_row() -> None:
     )
     estimate = initial_estimate(np.zeros(3), np.full(3, 0.01), FilterSettings())
     state = paper_row.initial_arrays(_CARRIERS, 0, *estimate)
-    row = paper_row.PaperRow(_MINUTE_US, 0.0, np.full(_CARRIERS, -50.0), is_late=False)
-    levels, results = np.zeros(_CARRIERS, paper_row.LEVEL), np.zeros(1, paper_row.RESULT)
-    TAKE_ROW(model, state, with_room(state), commanded_arrays(CommandedMotion(0)), row, levels, results)
+    epochs_us, power_dbm = np.full(1, _MINUTE_US, dtype=np.int64), np.full((1, _CARRIERS), -50.0)
+    block = paper_row.PaperBlock(epochs_us, np.zeros(1), power_dbm, is_late=False)
+    levels, results = np.zeros((1, _CARRIERS), paper_row.LEVEL), np.zeros(1, paper_row.RESULT)
+    TAKE_ROWS(model, paper_row.with_room(state, 1), commanded_arrays(CommandedMotion(0)), block, levels, results)
 
 
 def _compute_command(release: Release) -> None:

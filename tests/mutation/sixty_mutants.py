@@ -71,18 +71,18 @@ PIPELINE = (
     Mutant("Chain.steps", "each.epoch_us <= newest_us", "each.epoch_us < newest_us"),
     Mutant(
         "_left_by_harmonic_db",
-        'row.power_dbm[k] - levels["expected_dbm"][k]',
-        'levels["expected_dbm"][k] - row.power_dbm[k]',
+        'block.power_dbm[number, k] - levels["expected_dbm"][k]',
+        'levels["expected_dbm"][k] - block.power_dbm[number, k]',
     ),
     # a turn of yaw leaves roll alone
-    Mutant("rates_deg_h", "[-coupling_per_h * roll,", "[coupling_per_h * roll,"),
+    Mutant("rates_deg_h", "rates_deg_h[0] -= coupling_per_h", "rates_deg_h[0] += coupling_per_h"),
     # an angle that is far away allows control
     Mutant("_of_fix", "> config.model_range_deg", "< -config.model_range_deg"),
     # yaw and roll are judged, pitch is not
     Mutant(
         "filtered_rows",
-        "max(abs(attitude_deg.roll), abs(attitude_deg.pitch))",
-        "max(abs(attitude_deg.yaw), abs(attitude_deg.roll))",
+        "_, roll_deg, pitch_deg = figures.attitude_deg",
+        "roll_deg, pitch_deg, _ = figures.attitude_deg",
     ),
     Mutant("push_readings", ">= _ROWS and is_lasting", ">= _ROWS or is_lasting"),
     # the angle at the alignment counts twice
@@ -98,7 +98,7 @@ PIPELINE = (
     # the sign of yaw counts as proven without a turn about yaw
     Mutant("report_signs", "is_yaw_proven = is_turned and verdict", "is_yaw_proven = verdict"),
     # the daily wave of the known torque runs backwards
-    Mutant("disturbance_of", "(cos * sine - sin * cosine)", "(cos * sine + sin * cosine)"),
+    Mutant("write_wave", "cos * mean[three] - sin * mean[two]", "cos * mean[three] + sin * mean[two]"),
     Mutant("control_inhibitions", "spacecraft.onboard.fast_loop and", "spacecraft.onboard.fast_loop or"),
     # an axis whose torque is withheld gets one
     Mutant("mean_command", "if is_allowed[axis]:", "if axis >= 0:"),

@@ -4,13 +4,13 @@ import filter_models
 import numpy as np
 import pytest
 from example_counts import examples
+from filter_rows import step
 from flight_geometry import direction_vector
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from paper_rows import left_out, reject, solve
 
 from service.core.estimation.calibration.geometry_columns import exact_response, predict_deviation
-from service.core.estimation.filtering.attitude_filter import step
 from service.core.estimation.filtering.filter_model import KnownMotion, no_motion
 from service.core.estimation.filtering.filter_state import start
 from service.core.estimation.filtering.plant import filter_model

@@ -6,6 +6,7 @@ from tempfile import TemporaryDirectory
 import filter_models
 import numpy as np
 import pytest
+from filter_rows import step
 from kept_results import kept
 from plan_files import write_plan_files
 
@@ -16,7 +17,6 @@ from service.cli.planning.sources import PlanFiles, PlanRequest, planned_by_file
 from service.core.estimation.attitude_bound import DriftStatistics, WheelStatistics, attitude_bound_deg
 from service.core.estimation.calibration.whitened_fit import ColouredNoise
 from service.core.estimation.design import choose_carriers, most_share
-from service.core.estimation.filtering.attitude_filter import step
 from service.core.estimation.filtering.filter_model import (
     FedForward,
     FilterSettings,

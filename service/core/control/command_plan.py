@@ -487,9 +487,33 @@ def _shorten(pulses: FloatArray, share: float, drive: Drive) -> int:
     return count
 
 
+def plan_allocated(
+    gains: Gains,
+    drive: Drive,
+    wheels: Wheels,
+    situation: Situation,
+    torque: KnownTorque,
+    horizon: Horizon,
+    envelope: Envelope,
+    own_share: float,
+    momentum_n_m_s: FloatArray,
+    period_s: float,
+) -> tuple[AllocatedPulses, float]:
+    """Return the pulses of `plan_command` as `allocate_pulses` leaves them, and until when they hold, s; NaN: none are.
+
+    They hold for `period_s` where the horizon has a least length, else as long as was planned.
+    """
+    plan = plan_command(gains, drive, situation, torque, horizon, envelope, own_share)
+    if math.isnan(plan.horizon_s):
+        return AllocatedPulses(plan.pulses, momentum_n_m_s, np.zeros((3, 3)), plan.is_shortened), plan.horizon_s
+    held_s = period_s if horizon.least_s > 0.0 else plan.horizon_s
+    pulses, wheels_n_m, effect, is_cut = allocate_pulses(plan.pulses, gains, drive, wheels, momentum_n_m_s, held_s)
+    return AllocatedPulses(pulses, wheels_n_m, effect, is_cut or plan.is_shortened), held_s
+
+
 _MODULES = (quaternion_law, wheel_allocation, slew_schedule, sys.modules[__name__])
 #: the same functions compiled, with `quaternion_law.feedback_torque`
 compiled_plan, compiled_mean, compiled_allocation, compiled_law = (
     CompiledEntry(run, _MODULES)
-    for run in (plan_command, mean_command, allocate_pulses, quaternion_law.feedback_torque)
+    for run in (plan_allocated, mean_command, allocate_pulses, quaternion_law.feedback_torque)
 )

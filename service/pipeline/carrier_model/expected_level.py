@@ -1,11 +1,13 @@
 """Arrays of a calibration by geometry, and the expected level of every carrier at zero attitude."""
 
+import math
+import sys
 from collections.abc import Callable
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
+from service.core.compiled_entry import CompiledEntry
 from service.core.estimation.calibration.geometry_calibration import GeometryCalibration, predict_level_dbm, response_of
 from service.core.estimation.calibration.geometry_columns import (
     BEAM_SIZE,
@@ -225,20 +227,12 @@ class ExpectedLevel:
 
         The bits of a row do not depend on the other rows.
         """
-        angle = 2.0 * np.pi * ((epochs_us % _DAY_US) / _DAY_US)
-        solar_db = np.cos(angle)[:, None] * self._solar_db[:, 0] + np.sin(angle)[:, None] * self._solar_db[:, 1]
-        if not self._is_interpolated:
-            alone = [self._at(epochs_us[row : row + 1]) for row in range(len(epochs_us))]
-            return np.asarray(np.concatenate(alone) + solar_db)
-        levels = np.empty((len(epochs_us), len(self._solar_db)))
-        days = epochs_us // _DAY_US
-        # rows of one day lie together
-        bounds = [0, *(np.flatnonzero(np.diff(days)) + 1).tolist(), len(days)]
-        for start, stop in pairwise(bounds):
-            if stop > start:
-                day = int(days[start])
-                levels[start:stop] = _between_knots(self._day(day), epochs_us[start:stop] - day * _DAY_US)
-        return levels + solar_db
+        levels, start = np.empty((len(epochs_us), len(self._solar_db))), 0
+        while start < len(epochs_us):
+            day = int(epochs_us[start] // _DAY_US)
+            knots_dbm = self._day(day) if self._is_interpolated else self._at(epochs_us[start : start + 1])
+            start = _WRITE_LEVELS(knots_dbm, day * _DAY_US, self._solar_db, epochs_us, start, levels)
+        return levels
 
     def mean_dbm(self, epochs_us: IntArray) -> FloatArray:
         """Return the mean level (N,) over some epochs."""
@@ -250,17 +244,37 @@ class ExpectedLevel:
             if len(self._days) >= _MAX_DAYS:
                 self._days.clear()
             epochs_us = day * _DAY_US + _KNOT_US * np.arange(-1, _KNOTS_A_DAY + 2, dtype=np.int64)
-            self._days[day] = self._at(epochs_us)
+            self._days[day] = np.ascontiguousarray(self._at(epochs_us))
         return self._days[day]
 
 
-def _between_knots(knots_dbm: FloatArray, within_us: IntArray) -> FloatArray:
-    """Return the levels (T, N) at times of a day by cubics through the knots (K, N) at -1, 0, 1, 2."""
-    knot, offset = np.divmod(within_us, _KNOT_US)
-    x = (offset / _KNOT_US)[:, None]
-    return np.asarray(
-        -x * (x - 1.0) * (x - 2.0) / 6.0 * knots_dbm[knot]
-        + (x + 1.0) * (x - 1.0) * (x - 2.0) / 2.0 * knots_dbm[knot + 1]
-        - (x + 1.0) * x * (x - 2.0) / 2.0 * knots_dbm[knot + 2]
-        + (x + 1.0) * x * (x - 1.0) / 6.0 * knots_dbm[knot + 3]
-    )
+def _write_levels(
+    knots_dbm: FloatArray, day_us: int, solar_db: FloatArray, epochs_us: IntArray, start: int, levels: FloatArray
+) -> int:
+    """Write the levels of the rows of one day from `start` on, and return the first row that is of another one.
+
+    The levels are cubics through knots (K, N) with the solar day (N, 2); one knot stands for the row at `start` alone.
+    """
+    number = start
+    while number < len(epochs_us) and 0 <= epochs_us[number] - day_us < _DAY_US:
+        within_us = epochs_us[number] - day_us
+        angle = 2.0 * math.pi * (within_us / _DAY_US)
+        cos, sin = math.cos(angle), math.sin(angle)
+        knot = within_us // _KNOT_US
+        # a knot before the time, and two after it
+        x = (within_us - knot * _KNOT_US) / _KNOT_US
+        before, first = -x * (x - 1.0) * (x - 2.0) / 6.0, (x + 1.0) * (x - 1.0) * (x - 2.0) / 2.0
+        second, after = (x + 1.0) * x * (x - 2.0) / 2.0, (x + 1.0) * x * (x - 1.0) / 6.0
+        for k in range(len(solar_db)):
+            level = knots_dbm[0, k]
+            if len(knots_dbm) > 1:
+                level = before * knots_dbm[knot, k] + first * knots_dbm[knot + 1, k]
+                level = level - second * knots_dbm[knot + 2, k] + after * knots_dbm[knot + 3, k]
+            levels[number, k] = level + (cos * solar_db[k, 0] + sin * solar_db[k, 1])
+        number += 1
+        if len(knots_dbm) == 1:
+            break
+    return number
+
+
+_WRITE_LEVELS = CompiledEntry(_write_levels, (sys.modules[__name__],))

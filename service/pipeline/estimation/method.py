@@ -200,24 +200,29 @@ _USED, _ABSENT, _EXCLUDED, _UNSELECTED, _UNCALIBRATED = range(len(CARRIER_STATES
 
 
 def carrier_results(
-    rows: Sequence[MethodRow], measurement: Measurement, plan: CarrierPlan
-) -> tuple[CarrierResults | None, ...]:
-    """Return what each method makes of the carriers at a row in time; None where it failed."""
-    return tuple(None if each.levels is None else _of_row(each.levels, each.row, measurement, plan) for each in rows)
-
-
-def _of_row(levels: CarrierLevels, row: AttitudeRow, measurement: Measurement, plan: CarrierPlan) -> CarrierResults:
-    """Return the results of one method."""
-    columns = _columns(plan.carrier_ids, levels.carrier_ids)
-    states = np.where(levels.is_used, _USED, _UNSELECTED)
-    for exclusion in row.excluded:
-        # the levels need not know it
-        if exclusion.carrier in levels.carrier_ids:
-            states[levels.carrier_ids.index(exclusion.carrier)] = _EXCLUDED
-    deviation_db, residual_db = (columns.of(each, np.nan) for each in (levels.deviation_db, levels.residual_db))
-    state = columns.of(states, _UNCALIBRATED)
-    state[np.isnan(measurement.power_dbm)] = _ABSENT
-    return CarrierResults(plan.id, deviation_db, residual_db, state, columns.of(levels.hypothesis, 0))
+    rows: Sequence[MethodRow], measurements: Sequence[Measurement], plan: CarrierPlan
+) -> list[CarrierResults | None]:
+    """Return what a method makes of the carriers at rows in time of one plan; None where it failed."""
+    results: list[CarrierResults | None] = []
+    columns: CarrierColumns | None = None
+    calibrated: tuple[str, ...] = ()
+    for (row, levels, _), measurement in zip(rows, measurements, strict=True):
+        if levels is None:
+            results.append(None)
+            continue
+        if columns is None or levels.carrier_ids is not calibrated:
+            calibrated = levels.carrier_ids
+            columns = _columns(plan.carrier_ids, calibrated)
+        states = np.where(levels.is_used, _USED, _UNSELECTED)
+        for exclusion in row.excluded:
+            # the levels need not know it
+            if exclusion.carrier in calibrated:
+                states[calibrated.index(exclusion.carrier)] = _EXCLUDED
+        state = columns.of(states, _UNCALIBRATED)
+        state[np.isnan(measurement.power_dbm)] = _ABSENT
+        deviation_db, residual_db = columns.of(levels.deviation_db, np.nan), columns.of(levels.residual_db, np.nan)
+        results.append(CarrierResults(plan.id, deviation_db, residual_db, state, columns.of(levels.hypothesis, 0)))
+    return results
 
 
 @lru_cache(maxsize=256)

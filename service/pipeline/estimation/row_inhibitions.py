@@ -21,7 +21,7 @@ class Disagreement:
     apart_deg: float = math.nan
 
 
-def compare(watch: Disagreement, rows: tuple[AttitudeRow, ...], config: RobustConfig) -> Disagreement:
+def compare(watch: Disagreement, rows: Sequence[AttitudeRow], config: RobustConfig) -> Disagreement:
     """Return the watch after the rows of one measurement; a row without angles says nothing."""
     reported = [row for row in rows if row.status is Status.ACQUIRED]
     if len(reported) < 2:

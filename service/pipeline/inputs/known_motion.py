@@ -317,29 +317,11 @@ def motion_settings(spacecraft: Spacecraft | None, config: RobustConfig) -> Filt
 
 
 def disturbance_of(
-    mean: FloatArray,
-    covariance: FloatArray,
-    settings: FilterSettings,
-    inertia_kg_m2: tuple[float, float, float],
-    epoch_us: int,
+    wave_deg_h2: FloatArray, settings: FilterSettings, inertia_kg_m2: tuple[float, float, float], epoch_us: int
 ) -> Disturbance:
-    """Return torque states (9,) and their covariance (9, 9) as a torque whose phase is zero at an epoch."""
-    period_us = wave_period_us(settings)
-    phase = 2.0 * math.pi * (epoch_us % period_us) / period_us
-    cos, sin = math.cos(phase), math.sin(phase)
-    # numpy costs twice as much on so few
-    states, own = mean.tolist(), covariance.tolist()
-    parts: list[tuple[float, ...]] = []
-    for axis, inertia in enumerate(inertia_kg_m2):
-        first, second, third = axis, axis + 3, axis + 6
-        variance = own[first][first] + 2.0 * (cos * own[first][second] + sin * own[first][third])
-        variance += cos**2 * own[second][second] + 2.0 * cos * sin * own[second][third] + sin**2 * own[third][third]
-        unit, constant, cosine, sine = inertia * DEG_H2_N_M, states[first], states[second], states[third]
-        # what was a cosine since phase zero is a cosine and a sine since the epoch; the covariance of a profile has no
-        # full rank: rounding may leave less than nothing of a variance
-        turned = (cos * cosine + sin * sine) * unit, (cos * sine - sin * cosine) * unit
-        parts.append((constant * unit, *turned, math.sqrt(max(0.0, variance)) * unit))
-    return Disturbance(epoch_us, period_us / US_PER_S, *map(Axes._make, zip(*parts, strict=True)))
+    """Return a torque (4, 3), its constant, its cosine and sine since an epoch, and its sigma, as a record."""
+    parts_n_m = wave_deg_h2 * (np.array(inertia_kg_m2) * DEG_H2_N_M)
+    return Disturbance(epoch_us, wave_period_us(settings) / US_PER_S, *map(Axes._make, parts_n_m.tolist()))
 
 
 def is_torque_unknown(spacecraft: Spacecraft | None) -> bool:

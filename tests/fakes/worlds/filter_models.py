@@ -4,9 +4,9 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
+from filter_rows import step
 
 from service.core.arrays import FloatArray, IntArray
-from service.core.estimation.filtering.attitude_filter import step
 from service.core.estimation.filtering.declared import Declared
 from service.core.estimation.filtering.filter_model import (
     ATTITUDE,
@@ -86,11 +86,10 @@ def quiet_effective_rows(rows: int, carriers: int, period_us: int, seed: int) ->
     for _ in range(rows):
         level_db = model.white_sigma_db * rng.standard_normal(carriers)
         before, epoch_us = state, state.epoch_us + period_us
-        result = step(compiled, state, epoch_us, level_db, no_motion(), is_traced=True)
+        result = step(compiled, state, epoch_us, level_db, no_motion())
         state = result.state
-        assert result.trace is not None
         origin = np.arange(len(state.mean))
-        found.append(effective_row(model, settings, before, result, result.trace, origin))
+        found.append(effective_row(model, settings, before, result.state, result.row, result.trace, origin))
     return found
 
 

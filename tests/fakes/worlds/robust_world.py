@@ -7,13 +7,13 @@ the quiet phase: what remains is the filter's own doing. The truth stays with th
 from dataclasses import dataclass
 
 import numpy as np
+from filter_rows import step
 from scipy.optimize import nnls
 from simulated_gain import attitude_gain_db
 
 from analyzer_sim.export import measured_dbm
 from analyzer_sim.world.payload.level_terms import dishes_loss_db, nominal_gain_db
 from analyzer_sim.world.world import World
-from service.core.estimation.filtering.attitude_filter import step
 from service.core.estimation.filtering.declared import Declared, nothing_declared
 from service.core.estimation.filtering.filter_model import (
     CarrierModel,
@@ -250,7 +250,7 @@ class RobustWorld:
         return Filtered(
             rows.attitude_deg[written],
             np.array([reported.attitude_deg for reported in steps]),
-            np.array([np.sqrt(np.diagonal(reported.covariance_deg2)) for reported in steps]),
+            np.array([reported.sigma_deg for reported in steps]),
             np.array([reported.integrity.is_axis_allowed for reported in steps]),
             np.array([bool(reported.state.watch["is_raining"][0]) for reported in steps]),
             rows.downlink_fade_db[written],

@@ -17,7 +17,6 @@ is.
 """
 
 import math
-from enum import StrEnum
 
 import numpy as np
 
@@ -28,7 +27,7 @@ from service.core.estimation.filtering.filter_state import STEADY_ROWS, FilterSt
 from service.core.estimation.filtering.plant import FilterModel
 from service.core.estimation.filtering.prediction import Innovation, inverse_of
 
-#: causes of a simultaneous change of several carriers, as their places in `CAUSES`; 0 = nothing changed
+#: causes of a simultaneous change of several carriers; 0 = nothing changed
 INDEPENDENT, COMMON, GROUP, ATTITUDE_JUMP = 1, 2, 3, 4
 #: sizes that the causes have, one standard deviation
 JUMP_DEG = 0.3
@@ -56,18 +55,6 @@ _RECEDING_DB = 0.3
 _NO_RAIN_DB2 = 1e-6
 #: what a row says of a common change: none, one of the sums, one that is to be explained
 NOTHING, SLOW_CHANGE, SUDDEN_CHANGE = 0, 1, 2
-
-
-class Cause(StrEnum):
-    """Cause of a simultaneous change of several carriers."""
-
-    INDEPENDENT = "independent"
-    COMMON = "common"
-    GROUP = "group"
-    ATTITUDE = "attitude"
-
-
-CAUSES = (None, Cause.INDEPENDENT, Cause.COMMON, Cause.GROUP, Cause.ATTITUDE)
 
 
 def common_innovation(model: FilterModel, innovation: Innovation) -> tuple[float, float]:

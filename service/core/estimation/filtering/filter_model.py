@@ -289,9 +289,10 @@ class Gaussian(NamedTuple):
 
 def rates_deg_h(mean: FloatArray, coupling_per_h: float) -> FloatArray:
     """Return the rates (3,) of yaw, roll and pitch that attitude, drift and commanded rate of a state imply."""
-    yaw, roll, _pitch = mean[ATTITUDE].tolist()
-    exchanged = np.array([-coupling_per_h * roll, coupling_per_h * yaw, 0.0])
-    return np.asarray(exchanged + mean[DRIFT] + mean[RATE])
+    rates_deg_h = mean[DRIFT] + mean[RATE]
+    rates_deg_h[0] -= coupling_per_h * mean[1]
+    rates_deg_h[1] += coupling_per_h * mean[0]
+    return rates_deg_h
 
 
 def common_states(model: CarrierModel) -> slice:

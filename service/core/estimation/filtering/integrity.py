@@ -12,7 +12,6 @@ to 0.57 in `weather_wet_season`.) The functions that judge are compiled.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,24 +59,6 @@ _FADE, _CHAIN_STEP, _UNMONITORED, _PROTECTION, _REDUNDANCY, _NIS, _MOTION, _SIGM
 _VALID_US, _LEVEL_SIGMAS = 1_800_000_000, 4.0
 
 
-class Integrity(NamedTuple):
-    """Verdict on a row."""
-
-    is_control_allowed: bool
-    #: (yaw, roll, pitch)
-    is_axis_allowed: tuple[bool, bool, bool]
-    #: why not, in the order of `REASONS`
-    reasons: tuple[str, ...]
-    is_realignment_advised: bool
-
-
-def integrity_of(reasons: int, is_yaw_allowed: bool, is_realignment_advised: bool) -> Integrity:
-    """Return a verdict by its bits, with the names of the reasons."""
-    is_allowed = not reasons
-    names = tuple(name for place, name in enumerate(REASONS) if reasons >> place & 1) if reasons else ()
-    return Integrity(is_allowed, (is_yaw_allowed, is_allowed, is_allowed), names, is_realignment_advised)
-
-
 def assess(model: FilterModel, state: FilterState, carriers_used: int, found: NDArray[np.void]) -> None:
     """Write to a record of `RESULT` whether control may use the attitude of a state, and why not.
 
@@ -121,7 +102,7 @@ def assess(model: FilterModel, state: FilterState, carriers_used: int, found: ND
     is_yaw_allowed = reasons == 0 and (stands[_WAITING_YAW] or not (stands[_YAW] or is_moving[0]))
     relearned = np.count_nonzero(state.carriers["is_relearned"])
     is_advised = relearned > model.plant[0]["relearned_share"] * len(state.carriers)
-    found["protection_deg"][:], found["nominal_deg"][:] = protection_deg, nominal_deg
+    found["sigma_deg"][:], found["protection_deg"][:], found["nominal_deg"][:] = sigma_deg, protection_deg, nominal_deg
     found["waiting_loss_deg"][:], found["reasons"] = loss_deg, reasons
     found["is_yaw_allowed"], found["is_realignment_advised"] = is_yaw_allowed, is_advised
 

@@ -250,6 +250,25 @@ def write_torques(
                 transition[6 + axis, column + axis] += share * _gained_h(part, hours, turn_per_h)
 
 
+def write_wave(
+    wave: FloatArray, mean: FloatArray, covariance: FloatArray, first: int, epoch_us: int, period_us: int
+) -> None:
+    """Write the torque of the nine states from a place on (4, 3): constant, cosine and sine since an epoch, its sigma.
+
+    What was a cosine since phase zero is a cosine and a sine since the epoch.
+    """
+    phase = 2.0 * math.pi * (epoch_us % period_us) / period_us
+    cos, sin = math.cos(phase), math.sin(phase)
+    for axis in range(3):
+        one, two, three = first + axis, first + axis + 3, first + axis + 6
+        wave[0, axis] = mean[one]
+        wave[1, axis], wave[2, axis] = cos * mean[two] + sin * mean[three], cos * mean[three] - sin * mean[two]
+        variance = covariance[one, one] + 2.0 * (cos * covariance[one, two] + sin * covariance[one, three])
+        variance += cos**2 * covariance[two, two] + 2.0 * cos * sin * covariance[two, three]
+        # the covariance of a profile has no full rank: rounding may leave less than nothing
+        wave[3, axis] = math.sqrt(max(0.0, variance + sin**2 * covariance[three, three]))
+
+
 def _gained_h(part: int, hours: float, turn_per_h: float) -> float:
     """Return the rate that a constant (0), a cosine (1) or a sine (2) of one has left after some hours."""
     angle = turn_per_h * hours

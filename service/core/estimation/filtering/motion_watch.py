@@ -39,6 +39,9 @@ _EXPLAINED_ALARMS = 2
 #: a torque that motion makes doubtful may be this many times what was stated, and have been so for this long, h
 _DOUBT, _DOUBTED_H = 5.0, 2.0
 
+#: chi-square of three degrees of freedom that chance exceeds once in a thousand
+_SEEN_CHI_SQUARE = 16.27
+
 #: minutes in which the factors on the noise follow, and length of the running mean
 WHITE_MINUTES, SLOW_MINUTES, _MEAN_MINUTES = 240.0, 360.0, 30.0
 _MEAN_VARIANCE = 1.0 / (2.0 * _MEAN_MINUTES - 1.0)
@@ -162,6 +165,32 @@ def doubt_torque(model: FilterModel, state: FilterState, axes: BoolArray, shares
         covariance[torque, rate] += greatest**2 * _DOUBTED_H
         for wave in (torque + 3, torque + 6):
             covariance[wave, wave] = max(covariance[wave, wave], 0.5 * unknown**2)
+
+
+def is_torque_seen(mean: FloatArray, covariance: FloatArray, first: int) -> bool:
+    """Return whether the torque about any axis, constant and wave together, differs from none beyond chance.
+
+    `first` is the place of the nine states; nothing is seen of a torque that is known exactly.
+    """
+    lower, whitened = np.zeros((3, 3)), np.zeros(3)
+    for axis in range(3):
+        chi_square = 0.0
+        for i in range(3):
+            place, left = first + axis + 3 * i, mean[first + axis + 3 * i]
+            for j in range(i + 1):
+                value = covariance[place, first + axis + 3 * j]
+                for k in range(j):
+                    value -= lower[i, k] * lower[j, k]
+                lower[i, j] = value / lower[j, j] if j < i else math.sqrt(max(value, 0.0))
+            for j in range(i):
+                left -= lower[i, j] * whitened[j]
+            if lower[i, i] <= 0.0:
+                return False
+            whitened[i] = left / lower[i, i]
+            chi_square += whitened[i] ** 2
+        if chi_square > _SEEN_CHI_SQUARE:
+            return True
+    return False
 
 
 def push_noise(state: FilterState, values: FloatArray, nis: float, degrees: int) -> None:

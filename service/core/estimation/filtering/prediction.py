@@ -397,7 +397,7 @@ def update_state(
         mean -= covariance[RAIN] * (mean[RAIN] / covariance[RAIN, RAIN])
         mean[RAIN] = 0.0
     state.mean[:] = mean
-    found["rain_raised_db"], found["rain_variance_db2"] = raised_db, covariance[RAIN, RAIN]
+    found["rain_push_1_db"] = raised_db / covariance[RAIN, RAIN]
     if len(trace.factor):
         _write_trace(model, trace, final, lower, whitened, residual)
     return True, nis

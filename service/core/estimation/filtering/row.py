@@ -57,10 +57,10 @@ from service.core.estimation.filtering.common_cause import (
     suspicion,
     widen_cause,
 )
-from service.core.estimation.filtering.filter_model import ATTITUDE, CHAIN, DRIFT, FIRST_COMMON, RAIN, RATE
+from service.core.estimation.filtering.filter_model import ATTITUDE, CHAIN, FIRST_COMMON, RAIN, rates_deg_h
 from service.core.estimation.filtering.filter_state import FilterState
 from service.core.estimation.filtering.integrity import assess
-from service.core.estimation.filtering.motion import step_motion
+from service.core.estimation.filtering.motion import step_motion, write_wave
 from service.core.estimation.filtering.motion_watch import (
     alarmed_axes,
     doubt_torque,
@@ -68,6 +68,7 @@ from service.core.estimation.filtering.motion_watch import (
     explain_by_torque,
     follow_jump,
     forget_shifts,
+    is_torque_seen,
     newly_explained,
     pass_motion,
     push_drift,
@@ -227,30 +228,34 @@ def write_state(model: FilterModel, state: FilterState, status: int, shares: int
     if is_lost(state):
         status = LOST
     found["status"] = status
+    rates = rates_deg_h(mean, one["coupling_per_h"])
     for axis in range(3):
-        found["attitude_deg"][axis] = mean[axis]
-        found["drift_deg_h"][axis], found["rate_deg_h"][axis] = mean[DRIFT.start + axis], mean[RATE.start + axis]
-        for second in range(3):
-            found["covariance_deg2"][axis, second] = state.covariance[axis, second]
-    found["chain_db"], found["rain_db"], found["is_raining"] = mean[CHAIN], mean[RAIN], watch["is_raining"]
+        found["attitude_deg"][axis], found["rates_deg_s"][axis] = mean[axis], rates[axis] / 3600.0
+    found["rain_db"], found["is_raining"] = mean[RAIN], watch["is_raining"]
     first, hidden = FIRST_COMMON + len(model.common), hidden_states(model, len(mean))
     found["common_db"] = mean[CHAIN] + mean[FIRST_COMMON:first].sum()
-    found["is_followed"] = (watch["followed_minutes"] > 0.0).any()
+    found["is_torque_shown"] = (watch["followed_minutes"] > 0.0).any()
     if hidden - shares - one["sensor_states"] >= TORQUES:
         at = first + shares
-        found["torque_deg_h2"][:] = mean[at : at + TORQUES]
-        found["torque_covariance"][:, :] = state.covariance[at : at + TORQUES, at : at + TORQUES]
+        write_wave(found["torque_deg_h2"], mean, state.covariance, at, watch["epoch_us"], one["wave_period_us"])
+        if is_torque_seen(mean, state.covariance, at):
+            found["is_torque_shown"] = True
     return status
 
 
 def exclude_carriers(model: FilterModel, state: FilterState, block: RowBlock, number: int, result: BlockResult) -> None:
-    """Write why each carrier that a row did not use is out, and the likeliest hypothesis of each."""
-    given, found, carriers = block.carriers[number], result.carriers[number], state.carriers
+    """Write why a carrier that a row did not use is out, the likeliest hypothesis of each, and what those used left."""
+    given, found, carriers, row = block.carriers[number], result.carriers[number], state.carriers, result.rows[number]
+    used, residuals, total = 0, 0, 0.0
     for k in range(len(carriers)):
         is_asked = not math.isnan(carriers["probability"][k])
         found["hypothesis"][k] = carriers["hypothesis"][k] + 1 if is_asked else 0
         if found["is_used"][k]:
             reason = NOT_EXCLUDED
+            used += 1
+            if math.isfinite(found["residual_db"][k]):
+                residuals += 1
+                total += found["residual_db"][k] ** 2
         elif given["is_masked"][k]:
             reason = MANUAL
         elif given["is_frozen"][k]:
@@ -260,6 +265,7 @@ def exclude_carriers(model: FilterModel, state: FilterState, block: RowBlock, nu
         else:
             reason = _fault(model, state, k, found["residual_db"][k])
         found["exclusion"][k] = reason
+    row["carriers_used"], row["residual_rms_db"] = used, math.sqrt(total / residuals) if residuals else math.nan
 
 
 def _fault(model: FilterModel, state: FilterState, k: int, residual_db: float) -> int:

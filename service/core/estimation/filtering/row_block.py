@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from service.core.arrays import FloatArray
 from service.core.estimation.filtering.declared import Declared
 from service.core.estimation.filtering.filter_model import KnownMotion
-from service.core.estimation.filtering.plant import TORQUES, FilterModel
+from service.core.estimation.filtering.plant import FilterModel
 
 #: what became of a row: it moved the state, it was not newer than the state, or its numbers were lost
 TAKEN, OLD, LOST = 0, 1, 2
@@ -65,9 +65,8 @@ RESULT = np.dtype(
         ("status", "i8"),
         ("cause", "i8"),
         ("has_event", "?"),
-        # what the update raised rain below zero by, and variance of rain after it
-        ("rain_raised_db", "f8"),
-        ("rain_variance_db2", "f8"),
+        # what the update raised rain below zero by, dB, over its variance after it, dB^2
+        ("rain_push_1_db", "f8"),
         # levels that the error passes with a probability of 1e-4, NaN = not known, and those if nothing were wrong with
         # any carrier; loss by two hours without control
         ("protection_deg", "f8", (3,)),
@@ -77,20 +76,21 @@ RESULT = np.dtype(
         ("reasons", "i8"),
         ("is_yaw_allowed", "?"),
         ("is_realignment_advised", "?"),
-        # mean and covariance of yaw, roll, pitch after it
+        # yaw, roll, pitch after it, their sigmas, and the rates that attitude, drift and commanded rate imply
         ("attitude_deg", "f8", (3,)),
-        ("covariance_deg2", "f8", (3, 3)),
-        ("drift_deg_h", "f8", (3,)),
-        ("rate_deg_h", "f8", (3,)),
-        ("chain_db", "f8"),
+        ("sigma_deg", "f8", (3,)),
+        ("rates_deg_s", "f8", (3,)),
+        ("carriers_used", "i8"),
+        # root mean square of the residuals of the carriers used, NaN = none
+        ("residual_rms_db", "f8"),
         ("rain_db", "f8"),
         ("is_raining", "?"),
         # what all carriers have in common, without rain
         ("common_db", "f8"),
-        # whether an axis is followed with a wide drift, and the torque that is not fed forward, zero without states
-        ("is_followed", "?"),
-        ("torque_deg_h2", "f8", (TORQUES,)),
-        ("torque_covariance", "f8", (TORQUES, TORQUES)),
+        # whether a torque shows itself, as motion of an axis or among the states, and the one that is not fed forward,
+        # as `write_wave` has it, zero without states
+        ("is_torque_shown", "?"),
+        ("torque_deg_h2", "f8", (4, 3)),
     ],
     align=True,
 )

@@ -34,8 +34,6 @@ from service.core.estimation.filtering.wheel_momentum import momentum_covariance
 
 #: one standard deviation of the share of a command that nobody has reported
 SHARE_SIGMA = 1.0
-#: chi-square of three degrees of freedom that chance exceeds once in a thousand
-_SEEN_CHI_SQUARE = 16.27
 
 
 def sensors_first(model: CarrierModel, states: int, settings: FilterSettings) -> int:
@@ -69,16 +67,6 @@ def dropped(state: Gaussian, positions: slice) -> Gaussian:
     """Return the state without some numbers: what the others owe to them stays their uncertainty."""
     covariance = np.delete(np.delete(state.covariance, positions, axis=0), positions, axis=1)
     return Gaussian(np.delete(state.mean, positions), covariance)
-
-
-def is_torque_seen(gaussian: Gaussian, positions: slice) -> bool:
-    """Return whether the torque about any axis, constant and wave together, differs from none beyond chance."""
-    for axis in range(3):
-        own = np.arange(positions.start + axis, positions.stop, 3)
-        mean = gaussian.mean[own]
-        if float(mean @ np.linalg.solve(gaussian.covariance[np.ix_(own, own)], mean)) > _SEEN_CHI_SQUARE:
-            return True
-    return False
 
 
 def with_share(model: CarrierModel, state: FilterState, shares: int) -> FilterState:

@@ -1,8 +1,8 @@
-"""A row of the published method, compiled: from powers to a fix, the fade rule and the angles of the loop.
+"""Rows of the published method, compiled: from powers to a fix, the fade rule and the angles of the loop.
 
     deviation -> means of the last minutes -> fade rule -> fix over the eight octants -> observer of the loop
 
-A state is a value: a row reads one and writes the next. A fix belongs to the middle of its mean. It counts when the
+A fix belongs to the middle of its mean. It counts when the
 fade rule has had time to object to the rows in it, and none counts while its mean reaches back into a fade: until then
 dynamics carry the estimate. A late row gets a fix of its own and leaves the state alone.
 """
@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.core.arrays import FloatArray, IntArray
-from service.core.estimation.filtering.filter_model import DRIFT, RATE
+from service.core.estimation.filtering.filter_model import rates_deg_h
+from service.core.estimation.filtering.motion import write_wave
 from service.core.estimation.filtering.plant import FilterModel
 from service.core.estimation.paper.downlink_fade import (
     FADE,
@@ -25,6 +26,7 @@ from service.core.estimation.paper.downlink_fade import (
     watch_fades,
 )
 from service.core.estimation.paper.loop_observer import (
+    TORQUE,
     Commanded,
     LinearFix,
     linear_fix,
@@ -90,15 +92,17 @@ LEVEL = np.dtype(
     ],
     align=True,
 )
-#: what a row leaves of the spacecraft; (3,) in the order yaw, roll, pitch, deg and deg/h
+#: what a row leaves of the spacecraft; (3,) in the order yaw, roll, pitch
 RESULT = np.dtype(
     [
         ("attitude_deg", "f8", (3,)),
         ("sigma_deg", "f8", (3,)),
         ("steering_deg", "f8", (3,)),
         ("steering_sigma_deg", "f8", (3,)),
-        ("rates_deg_h", "f8", (3,)),
+        ("rates_deg_s", "f8", (3,)),
+        # carriers that entered the fix, and selected ones that did not
         ("carriers_used", "i8"),
+        ("carriers_out", "i8"),
         ("residual_rms_db", "f8"),
         # rows that the mean rests on
         ("rows", "i8"),
@@ -106,6 +110,9 @@ RESULT = np.dtype(
         ("is_risen", "?"),
         # size of a standing fade, 0 while none stands
         ("fade_db", "f8"),
+        # epoch of the estimate of the loop, and its torque as `write_wave` has it
+        ("estimate_us", "i8"),
+        ("torque_deg_h2", "f8", (4, 3)),
     ],
     align=True,
 )
@@ -144,11 +151,11 @@ class PaperState(NamedTuple):
     covariance: FloatArray
 
 
-class PaperRow(NamedTuple):
-    """Powers (N,) in dBm at an epoch with its phase since the ascending node."""
+class PaperBlock(NamedTuple):
+    """Powers (T, N) in dBm at epochs (T,) with their phases since the ascending node, rad."""
 
-    epoch_us: int
-    phase_rad: float
+    epochs_us: IntArray
+    phases_rad: FloatArray
     power_dbm: FloatArray
     is_late: bool
 
@@ -169,33 +176,75 @@ def empty_means(state: PaperState, carriers: int) -> PaperState:
     return PaperState(counters, np.zeros(2, FADE), *window, state.pending, state.mean, state.covariance)
 
 
-def take_row(
+def with_room(state: PaperState, rows: int) -> PaperState:
+    """Return a copy of a state with room for some rows more, and as many fixes."""
+    after = PaperState(
+        # types of their own: those of a restored state look alike and are others to the compiler; no byte is left over
+        np.zeros(1, COUNTERS),
+        np.zeros(2, FADE),
+        np.zeros(len(state.window_us) + rows, dtype=np.int64),
+        np.zeros((len(state.window_us) + rows, state.window_db.shape[1])),
+        np.zeros(len(state.pending) + rows, PENDING),
+        state.mean.copy(),
+        state.covariance.copy(),
+    )
+    for each, former in zip(after, state, strict=True):
+        each[: len(former)] = former
+    return after
+
+
+def without_room(state: PaperState) -> PaperState:
+    """Return a state whose arrays end with its newest row and the last fix that waits."""
+    rows, pending = int(state.counters["rows"][0]), int(state.counters["pending"][0])
+    window = state.window_us[:rows], state.window_db[:rows]
+    return PaperState(state.counters, state.watches, *window, state.pending[:pending], state.mean, state.covariance)
+
+
+def take_rows(
     model: PaperArrays,
     state: PaperState,
-    after: PaperState,
     commanded: Commanded,
-    row: PaperRow,
+    block: PaperBlock,
     levels: NDArray[np.void],
-    result: NDArray[np.void],
+    results: NDArray[np.void],
 ) -> None:
-    """Take one row.
+    """Take rows in order.
 
     Parameters
     ----------
-    after : PaperState
-        Written unless the row is late, with room for one row and one fix more.
-    levels, result : ndarray
-        (N,) of `LEVEL` and (1,) of `RESULT`, written.
+    state : PaperState
+        Moved on in place unless the rows are late, with room for the rows and as many fixes.
+    levels, results : ndarray
+        (T, N) of `LEVEL` and (T,) of `RESULT`, written.
     """
-    limits, plus, minus, newest = model.limits[0], model.plus, model.minus, state
-    gates, epoch_us = (limits["gate_db"], limits["gate_sigma"], limits["min_carriers"]), row.epoch_us
-    mean_db, rows, span_s, dt_s = _left_by_harmonic_db(model, row, levels), 1, 0.0, 0.0
-    if not row.is_late:
-        newest, dt_s = after, _push(limits, state, after, epoch_us, mean_db)
-    counters, watches, times_us, window_db = newest[:4]
+    estimate_us = state.counters["estimate_us"][0]
+    for number in range(len(block.epochs_us)):
+        result = results[number : number + 1]
+        _take_row(model, state, commanded, block, number, levels[number], result)
+        if state.counters["estimate_us"][0] > estimate_us:
+            # late changes count once
+            commanded = Commanded(commanded.motions, np.zeros((2, 3)), commanded.since_us)
+
+
+def _take_row(
+    model: PaperArrays,
+    after: PaperState,
+    commanded: Commanded,
+    block: PaperBlock,
+    number: int,
+    levels: NDArray[np.void],
+    result: NDArray[np.void],
+) -> None:
+    """Take one row of a block, whose carriers and itself leave records (N,) and (1,)."""
+    limits, plus, minus, epoch_us = model.limits[0], model.plus, model.minus, block.epochs_us[number]
+    gates = limits["gate_db"], limits["gate_sigma"], limits["min_carriers"]
+    mean_db, rows, span_s, dt_s = _left_by_harmonic_db(model, block, number, levels), 1, 0.0, 0.0
+    if not block.is_late:
+        dt_s = _push(limits, after, epoch_us, mean_db)
+    counters, watches, times_us, window_db = after[:4]
     change_db, _ = trailing_mean(times_us, window_db, counters["rows"][0], limits["fade_averaging_us"], 1)
     _leave_selected(model, change_db)
-    if not row.is_late:
+    if not block.is_late:
         left_by_turn, left_db = math.inf, change_db
         if is_turn_asked(watches, limits, change_db):
             turn = reject_faded_carriers(plus, minus, change_db, gates[0], gates[1], gates[2])
@@ -214,7 +263,7 @@ def take_row(
     outcome = reject_faded_carriers(plus, minus, considered_db, gates[0], gates[1], gates[2])
     write_fix(model, outcome, considered_db, rows, span_s, levels, result)
     _write_fade(watches, change_db, result)
-    if row.is_late:
+    if block.is_late:
         return
     result["rows"][0] = rows
     if result["is_fading"][0] or result["is_risen"][0]:
@@ -238,32 +287,28 @@ def take_row(
         update_estimate(mean, covariance, after.pending["angles_deg"][due], after.pending["noise_deg2"][due])
     _forget_fixes(after, due)
     _write_angles(mean, covariance, model.motion.plant["coupling_per_h"][0], result)
+    estimate_us, period_us = counters["estimate_us"][0], model.motion.plant["wave_period_us"][0]
+    result["estimate_us"][0] = estimate_us
+    write_wave(result["torque_deg_h2"][0], after.mean, after.covariance, TORQUE.start, estimate_us, period_us)
 
 
-def _left_by_harmonic_db(model: PaperArrays, row: PaperRow, levels: NDArray[np.void]) -> FloatArray:
+def _left_by_harmonic_db(model: PaperArrays, block: PaperBlock, number: int, levels: NDArray[np.void]) -> FloatArray:
     """Return the deviation (N,) of the powers, and write it with the expected powers."""
     carriers = model.carriers
     deviation_db = np.empty(len(carriers))
     for k in range(len(carriers)):
-        turned = carriers["amplitude_db"][k] * math.cos(row.phase_rad + carriers["phase_rad"][k])
+        turned = carriers["amplitude_db"][k] * math.cos(block.phases_rad[number] + carriers["phase_rad"][k])
         levels["expected_dbm"][k] = carriers["reference_dbm"][k] + turned
-        levels["deviation_db"][k] = deviation_db[k] = row.power_dbm[k] - levels["expected_dbm"][k]
+        levels["deviation_db"][k] = deviation_db[k] = block.power_dbm[number, k] - levels["expected_dbm"][k]
     return deviation_db
 
 
-def _push(limits: np.void, state: PaperState, after: PaperState, epoch_us: int, deviation_db: FloatArray) -> float:
-    """Write the state with one row more in the window and return the time since the row before, s.
+def _push(limits: np.void, state: PaperState, epoch_us: int, deviation_db: FloatArray) -> float:
+    """Write a row more into the window of a state, in place, and return the time since the row before, s.
 
     A long gap empties the window; a row that is not newer leaves it as it is.
     """
-    counters, first = after.counters, 0
-    counters[0], after.watches[0], after.watches[1] = state.counters[0], state.watches[0], state.watches[1]
-    for i in range(len(state.mean)):
-        after.mean[i] = state.mean[i]
-        for j in range(len(state.mean)):
-            after.covariance[i, j] = state.covariance[i, j]
-    for k in range(counters["pending"][0]):
-        after.pending[k] = state.pending[k]
+    counters, first = state.counters, 0
     gap_us = epoch_us - counters["newest_us"][0] if counters["has_row"][0] else 0
     counters["has_row"][0], counters["newest_us"][0] = True, epoch_us
     rows = counters["rows"][0]
@@ -273,15 +318,15 @@ def _push(limits: np.void, state: PaperState, after: PaperState, epoch_us: int, 
     longest_us = max(limits["averaging_us"], limits["fade_averaging_us"])
     while is_newer and first < rows and state.window_us[first] <= epoch_us - longest_us:
         first += 1
-    for row in range(first, rows):
-        after.window_us[row - first] = state.window_us[row]
+    for row in range(first, rows if first else 0):
+        state.window_us[row - first] = state.window_us[row]
         for k in range(len(deviation_db)):
-            after.window_db[row - first, k] = state.window_db[row, k]
+            state.window_db[row - first, k] = state.window_db[row, k]
     rows -= first
     if is_newer:
-        after.window_us[rows] = epoch_us
+        state.window_us[rows] = epoch_us
         for k in range(len(deviation_db)):
-            after.window_db[rows, k] = deviation_db[k]
+            state.window_db[rows, k] = deviation_db[k]
         rows += 1
     counters["rows"][0] = rows
     return float(gap_us / _US_PER_S)
@@ -315,7 +360,7 @@ def write_fix(
 ) -> None:
     """Write the fix of deviations (N,) that are the mean of some rows over a span."""
     fix, carriers = outcome.fix, len(deviation_db)
-    known_db2, known, total, count, used = 0.0, 0, 0.0, 0, 0
+    known_db2, known, total, count, used, out = 0.0, 0, 0.0, 0, 0, 0
     used_db, moment = np.empty(carriers), np.zeros(3)
     for k in range(carriers):
         # as `averaged_sigma_db`
@@ -330,7 +375,9 @@ def write_fix(
         if math.isfinite(outcome.residual_db[k]):
             total += outcome.residual_db[k] ** 2
             count += 1
-        if outcome.reason[k] == USED:
+        if outcome.reason[k] != USED:
+            out += 1 if model.carriers["is_selected"][k] else 0
+        else:
             used_db[used] = deviation_db[k]
             used += 1
             for axis in range(3):
@@ -350,7 +397,7 @@ def write_fix(
             turned += fix.unit_covariance[i, j] * moment[j] * common_db
         result["attitude_deg"][0, i] = fix.attitude_deg[i]
         result["sigma_deg"][0, i] = math.sqrt(variance * fix.unit_covariance[i, i] + turned**2)
-    result["carriers_used"][0] = fix.carriers_used
+    result["carriers_used"][0], result["carriers_out"][0] = fix.carriers_used, out
     result["residual_rms_db"][0] = math.sqrt(total / count) if count > 0 else math.nan
 
 
@@ -391,11 +438,7 @@ def _forget_fixes(after: PaperState, count: int) -> None:
 
 def _write_angles(mean: FloatArray, covariance: FloatArray, coupling_per_h: float, result: NDArray[np.void]) -> None:
     """Write the angles with sigma, and the rates, that a torque follows from."""
+    rates = rates_deg_h(mean, coupling_per_h)
     for axis in range(3):
-        rate = mean[DRIFT.start + axis] + mean[RATE.start + axis]
-        if axis == 0:
-            rate -= coupling_per_h * mean[1]
-        if axis == 1:
-            rate += coupling_per_h * mean[0]
-        result["rates_deg_h"][0, axis], result["steering_deg"][0, axis] = rate, mean[axis]
+        result["rates_deg_s"][0, axis], result["steering_deg"][0, axis] = rates[axis] / 3600.0, mean[axis]
         result["steering_sigma_deg"][0, axis] = math.sqrt(covariance[axis, axis])

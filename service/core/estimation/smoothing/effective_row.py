@@ -24,7 +24,6 @@ from typing import NamedTuple
 import numpy as np
 
 from service.core.arrays import FloatArray, IntArray
-from service.core.estimation.filtering.attitude_filter import FilterStep
 from service.core.estimation.filtering.filter_model import (
     CHAIN,
     RAIN,
@@ -185,13 +184,14 @@ def effective_row(
     model: CarrierModel,
     settings: FilterSettings,
     before: FilterState,
-    found: FilterStep,
+    after: FilterState,
+    row: np.void,
     trace: RowTrace,
     origin: IntArray | None,
     effects: Sequence[SensorEffect] = (),
 ) -> EffectiveRow:
-    """Return a row of the filter from the state before, the result with its trace, and records taken before it."""
-    after, update = found.state, trace.update[np.isfinite(trace.update[:, -1])]
+    """Return a row of `RESULT` with its trace, the states around it, and the records taken before it."""
+    update = trace.update[np.isfinite(trace.update[:, -1])]
     states = len(after.mean)
     return EffectiveRow(
         after.epoch_us,
@@ -199,8 +199,7 @@ def effective_row(
         tuple(SensedRecord(each.restarted, each.update and whitened_row(*each.update)) for each in effects),
         _linear_step(model, settings, trace),
         WhitenedRow(update[:, :states], update[:, states:-1], update[:, -1]) if len(update) else None,
-        # the adjoint of rain by which the state was moved to its border
-        found.rain_raised_db / found.rain_variance_db2 if len(update) else 0.0,
+        float(row["rain_push_1_db"]),
         bool(before.watch["is_raining"][0] and not after.watch["is_raining"][0]),
         restarted_states(after.covariance),
         after.mean,

@@ -220,8 +220,12 @@ def _mean_command(
         mean = mean_pulses(row, spacecraft, span, carry_n_m_s, config, design, disturbance, body_rate_deg_s)
     except ValueError:
         return TorqueOutcome(zero_command(row, spacecraft, span, ("no_law",)), NO_CARRY)
-    command = _allocated(row, spacecraft, span, mean.pulses, design, momentum_n_m_s, is_cut=mean.is_cut)
-    return TorqueOutcome(command, mean.carry_n_m_s)
+    momentum = _momentum(design, momentum_n_m_s)
+    allocated = compiled_allocation(
+        mean.pulses, design.gains, design.drive, design.wheels, momentum, float(span.period_s)
+    )
+    is_saturated = bool(mean.is_cut or allocated.is_cut)
+    return TorqueOutcome(command_of(row, spacecraft, span, allocated, is_saturated=is_saturated), mean.carry_n_m_s)
 
 
 def _forecast_command(
@@ -236,23 +240,23 @@ def _forecast_command(
     """Return the command of a slew and of what balances the known torque after it."""
     try:
         design = _design(spacecraft, config, max_torque_n_m)
-        horizon = _horizon(spacecraft, span, config)
-        plan = compiled_plan(
+        allocated, period_s = compiled_plan(
             design.gains,
             design.drive,
+            design.wheels,
             _situation(row, span.epoch_us),
             _known_torque(disturbance, span.epoch_us),
-            horizon,
+            _horizon(spacecraft, span, config),
             span.envelope,
             config.envelope_share,
+            _momentum(design, momentum_n_m_s),
+            float(span.period_s),
         )
     except ValueError:
         return zero_command(row, spacecraft, span, ("no_law",))
-    if math.isnan(plan.horizon_s):
+    if math.isnan(period_s):
         return zero_command(row, spacecraft, span, ("no_law",))
-    if not horizon.least_s:
-        span = span._replace(period_s=plan.horizon_s)
-    return _allocated(row, spacecraft, span, plan.pulses, design, momentum_n_m_s, is_cut=plan.is_shortened)
+    return command_of(row, spacecraft, span._replace(period_s=period_s), allocated, is_saturated=allocated.is_cut)
 
 
 def _design(spacecraft: Spacecraft, config: TorqueConfig, max_torque_n_m: float | None) -> ControlDesign:
@@ -291,19 +295,9 @@ def _horizon(spacecraft: Spacecraft, span: Span, config: TorqueConfig) -> Horizo
     return Horizon(slew_s, slice_s, slices, least_s)
 
 
-def _allocated(
-    row: AttitudeRow,
-    spacecraft: Spacecraft,
-    span: Span,
-    pulses: FloatArray,
-    design: ControlDesign,
-    momentum_n_m_s: tuple[float, ...] | None,
-    *,
-    is_cut: bool,
-) -> TorqueCommand:
-    """Return the command with each wheel's share, null motion included where the momenta are known."""
-    momentum = design.usual_momentum_n_m_s
-    if momentum_n_m_s is not None and len(momentum_n_m_s) == len(momentum):
-        momentum = np.array(momentum_n_m_s, dtype=np.float64)
-    allocated = compiled_allocation(pulses, design.gains, design.drive, design.wheels, momentum, float(span.period_s))
-    return command_of(row, spacecraft, span, allocated, is_saturated=bool(is_cut or allocated.is_cut))
+def _momentum(design: ControlDesign, momentum_n_m_s: tuple[float, ...] | None) -> FloatArray:
+    """Return the momentum of each wheel (W,); what is usual where it is not known."""
+    usual = design.usual_momentum_n_m_s
+    if momentum_n_m_s is None or len(momentum_n_m_s) != len(usual):
+        return usual
+    return np.array(momentum_n_m_s, dtype=np.float64)

@@ -1,8 +1,8 @@
 """The paper method from L1 to L4, and in the chain: its state, its rows, and what is known of each carrier.
 
 The published equations, with their state made explicit. Order: harmonic removal, downlink fade rule, trailing mean,
-fix over the eight octants, rate, interlock verdict. The state is a value: a step takes one and returns the next, so
-that a replay can start from any of them.
+fix over the eight octants, rate, interlock verdict. The state is a value: rows take one and return the next, so that a
+replay can start from any of them.
 """
 
 import math
@@ -18,18 +18,16 @@ from service.core.estimation.filtering import filter_model, plant
 from service.core.estimation.filtering import motion as body_motion
 from service.core.estimation.paper import downlink_fade, harmonic, loop_observer, snapshot
 from service.core.estimation.paper import row as paper_row
-from service.core.estimation.paper.downlink_fade import FADE
-from service.core.estimation.paper.loop_observer import TORQUE, initial_estimate, with_other_torque
+from service.core.estimation.paper.loop_observer import initial_estimate, with_other_torque
 from service.core.estimation.paper.row import (
-    COUNTERS,
     LEVEL,
-    PENDING,
     RESULT,
-    PaperRow,
+    PaperBlock,
     PaperState,
     empty_means,
     initial_arrays,
-    take_row,
+    with_room,
+    without_room,
 )
 from service.core.estimation.paper.snapshot import ABSENT, USED
 from service.core.geometry.line_of_sight import node_phase_at_rad
@@ -46,26 +44,27 @@ from service.pipeline.inputs.known_motion import (
     without_past,
 )
 from service.records.calibration import Alignment
-from service.records.catalogue import CarrierPlan, Ephemeris, Method
+from service.records.catalogue import CarrierPlan, Method
 from service.records.inputs import Correction, SlowInput
 from service.records.levels.attitude import (
     NO_ANGLES,
     AppliedCommand,
     AttitudeRow,
+    Axes,
     CarrierState,
     Disturbance,
     Exclusion,
     FloatArray,
+    IntArray,
     ReportedCommand,
     Status,
-    named_axes,
 )
 from service.records.levels.measurement import Measurement
 
 #: sigma of an alignment's angle that nobody states, deg
 _ALIGNMENT_DEG = 0.1
-TAKE_ROW = CompiledEntry(
-    take_row, (filter_model, plant, body_motion, harmonic, downlink_fade, snapshot, loop_observer, paper_row)
+TAKE_ROWS = CompiledEntry(
+    paper_row.take_rows, (filter_model, plant, body_motion, harmonic, downlink_fade, snapshot, loop_observer, paper_row)
 )
 
 
@@ -77,12 +76,13 @@ class LoopState(NamedTuple):
 
 
 class PaperStep(NamedTuple):
-    """One row's outcome and the state after it."""
+    """One row's outcome."""
 
     row: AttitudeRow
     #: (N,) of `LEVEL`
     levels: NDArray[np.void]
-    state: LoopState
+    #: record of `RESULT`
+    result: np.void
 
 
 def initial_state(alignment: Alignment, model: PaperModel) -> LoopState:
@@ -94,79 +94,91 @@ def initial_state(alignment: Alignment, model: PaperModel) -> LoopState:
     return LoopState(arrays, CommandedMotion(alignment.epoch_us))
 
 
-def step_paper(
+def take_rows(
     state: LoopState,
     model: PaperModel,
     knowledge: Knowledge,
-    ephemeris: Ephemeris,
-    measurement: Measurement,
+    measurements: Sequence[Measurement],
     power_dbm: FloatArray,
     *,
     is_late: bool,
     is_catch_up: bool,
     config: ChainConfig,
-) -> PaperStep:
-    """Take one row whose powers stand in the calibration's order and return its outcome and the next state.
+) -> tuple[list[PaperStep], LoopState]:
+    """Take rows whose powers (T, N) stand in the calibration's order; return their outcomes and the next state.
 
-    A late row gets a fix of its own and leaves the state alone.
+    Late rows get fixes of their own and leave the state alone.
     """
-    phase_rad = node_phase_at_rad(measurement.epoch_us, ephemeris.ascending_nodes_us, ephemeris.nodal_period_s)
-    row = PaperRow(measurement.epoch_us, phase_rad, power_dbm, is_late)
-    levels, results = np.empty(len(power_dbm), LEVEL), np.zeros(1, RESULT)
-    before, after = state.arrays, with_room(state.arrays)
-    TAKE_ROW(model.arrays, before, after, commanded_arrays(state.commanded), row, levels, results)
-    result = results[0]
-    context = RowContext(
-        is_late=is_late,
-        is_catch_up=is_catch_up,
-        is_settled=is_late or result["rows"] >= config.estimation.min_rows,
-        is_fading=bool(result["is_fading"]),
-        is_risen=bool(result["is_risen"]),
-        has_inhibiting_operation=bool(knowledge.inhibiting_operations(measurement.epoch_us)),
-        is_thrusting_undeclared=knowledge.is_thrusting_undeclared(measurement.epoch_us),
-    )
-    inhibitions = judge(result["attitude_deg"].tolist(), int(result["carriers_used"]), context, config.interlock)
-    outcome = _row(measurement, model, result, levels, inhibitions, is_late=is_late)
-    return PaperStep(outcome, levels, state if is_late else _moved(state, after))
+    count, carriers = power_dbm.shape
+    levels, results = np.empty((count, carriers), LEVEL), np.zeros(count, RESULT)
+    after = state.arrays if is_late else with_room(state.arrays, count)
+    block = PaperBlock(*_times(measurements, knowledge), power_dbm, is_late)
+    TAKE_ROWS(model.arrays, after, commanded_arrays(state.commanded), block, levels, results)
+    by_name = (results[name].tolist() for name in _Figures._fields)
+    rows = []
+    for number, (measurement, figures) in enumerate(
+        zip(measurements, map(_Figures._make, zip(*by_name, strict=True)), strict=True)
+    ):
+        context = RowContext(
+            is_late=is_late,
+            is_catch_up=is_catch_up,
+            is_settled=is_late or figures.rows >= config.estimation.min_rows,
+            is_fading=figures.is_fading,
+            is_risen=figures.is_risen,
+            has_inhibiting_operation=bool(knowledge.inhibiting_operations(measurement.epoch_us)),
+            is_thrusting_undeclared=knowledge.is_thrusting_undeclared(measurement.epoch_us),
+        )
+        inhibitions = judge(figures.attitude_deg, figures.carriers_used, context, config.interlock)
+        rows.append(_row(measurement, model, figures, levels[number], inhibitions, is_late=is_late))
+    moved = state if is_late else _moved(state, after)
+    return list(map(PaperStep, rows, levels, results)), moved
 
 
-def with_room(state: PaperState) -> PaperState:
-    """Return arrays that the next state fits into."""
-    rows, pending = len(state.window_us) + 1, len(state.pending) + 1
-    return PaperState(
-        # types of their own: those of a restored state look alike and are others to the compiler; no byte is left over
-        np.zeros(1, COUNTERS),
-        np.zeros(2, FADE),
-        np.empty(rows, dtype=np.int64),
-        np.empty((rows, state.window_db.shape[1])),
-        np.zeros(pending, PENDING),
-        np.empty_like(state.mean),
-        np.empty_like(state.covariance),
-    )
+class _Figures(NamedTuple):
+    """Figures of a row, named as in `RESULT`; triples in the order yaw, roll, pitch."""
+
+    attitude_deg: list[float]
+    sigma_deg: list[float]
+    steering_deg: list[float]
+    steering_sigma_deg: list[float]
+    rates_deg_s: list[float]
+    carriers_used: int
+    carriers_out: int
+    residual_rms_db: float
+    rows: int
+    is_fading: bool
+    is_risen: bool
+    fade_db: float
+
+
+def _times(measurements: Sequence[Measurement], knowledge: Knowledge) -> tuple[IntArray, FloatArray]:
+    """Return the epochs (T,) of rows, and their phases since the ascending node, rad."""
+    if knowledge.ephemeris is None:
+        message = "the paper method was stepped without an ephemeris"
+        raise ValueError(message)
+    nodes_us, period_s = knowledge.ephemeris.ascending_nodes_us, knowledge.ephemeris.nodal_period_s
+    phases_rad = np.array([node_phase_at_rad(each.epoch_us, nodes_us, period_s) for each in measurements])
+    return np.array([each.epoch_us for each in measurements], dtype=np.int64), phases_rad
 
 
 def _moved(before: LoopState, after: PaperState) -> LoopState:
-    """Return the state after a row, freed from room and from motion that the estimate has consumed."""
-    rows, pending = int(after.counters["rows"][0]), int(after.counters["pending"][0])
+    """Return the state after rows, freed from room and from motion that the estimate has consumed."""
     newest_us = int(after.counters["estimate_us"][0])
     is_moved = newest_us > before.arrays.counters["estimate_us"][0]
-    arrays = after._replace(
-        window_us=after.window_us[:rows], window_db=after.window_db[:rows], pending=after.pending[:pending]
-    )
-    return LoopState(arrays, without_past(before.commanded, newest_us) if is_moved else before.commanded)
+    return LoopState(without_room(after), without_past(before.commanded, newest_us) if is_moved else before.commanded)
 
 
 def _row(
     measurement: Measurement,
     model: PaperModel,
-    result: np.void,
+    figures: _Figures,
     levels: NDArray[np.void],
     inhibitions: tuple[str, ...],
     *,
     is_late: bool,
 ) -> AttitudeRow:
     """Return the archive's row of one outcome."""
-    angles = named_axes(result["attitude_deg"])
+    angles = Axes(*figures.attitude_deg)
     # what all levels have in common went into the angles
     is_told = all(map(math.isfinite, angles)) and "common_change" not in inhibitions
     return AttitudeRow(
@@ -175,23 +187,23 @@ def _row(
         number=measurement.number,
         method=Method.PAPER,
         attitude_deg=angles,
-        sigma_deg=named_axes(result["sigma_deg"]),
-        rates_deg_s=None if is_late else named_axes(result["rates_deg_h"] / 3600.0),
+        sigma_deg=Axes(*figures.sigma_deg),
+        rates_deg_s=None if is_late else Axes(*figures.rates_deg_s),
         status=Status.ACQUIRED if is_told else Status.INVALID,
         control_allowed=not inhibitions,
         # yaw follows from roll and from what was commanded, whatever the fix says of it
         control_allowed_axes=(not inhibitions,) * 3,
         inhibitions=inhibitions,
-        carriers_used=int(result["carriers_used"]),
-        excluded=_exclusions(model, levels),
+        carriers_used=figures.carriers_used,
+        excluded=_exclusions(model, levels) if figures.carriers_out else (),
         downlink_fade="downlink_fade" in inhibitions,
-        downlink_fade_db=float(result["fade_db"]),
+        downlink_fade_db=figures.fade_db,
         common_db=float("nan"),
-        residual_rms_db=float(result["residual_rms_db"]),
+        residual_rms_db=figures.residual_rms_db,
         calibration_id=model.calibration_id,
         alignment_id=model.alignment_id,
-        steering_deg=NO_ANGLES if is_late else named_axes(result["steering_deg"]),
-        steering_sigma_deg=NO_ANGLES if is_late else named_axes(result["steering_sigma_deg"]),
+        steering_deg=NO_ANGLES if is_late else Axes(*figures.steering_deg),
+        steering_sigma_deg=NO_ANGLES if is_late else Axes(*figures.steering_sigma_deg),
     )
 
 
@@ -223,7 +235,8 @@ class PaperRunner:
         self._model: PaperModel | None = None
         self._state: LoopState | None = None
         self._columns: CalibratedColumns | None = None
-        self._last: tuple[PaperStep, PaperModel] | None = None
+        #: newest row in time, what it left of each carrier, and its model
+        self._last: tuple[AttitudeRow, NDArray[np.void], PaperModel] | None = None
 
     @property
     def is_running(self) -> bool:
@@ -262,29 +275,6 @@ class PaperRunner:
             arrays = empty_means(arrays, len(self._model.carrier_ids))
         self._state = self._state._replace(arrays=arrays)
 
-    def step(
-        self, measurement: Measurement, plan: CarrierPlan, knowledge: Knowledge, *, is_late: bool, is_catch_up: bool
-    ) -> AttitudeRow:
-        """Return the row of a measurement; the state moves on unless the row is late."""
-        if self._model is None or self._state is None or self._columns is None or knowledge.ephemeris is None:
-            message = "the paper method was stepped without a model"
-            raise ValueError(message)
-        outcome = step_paper(
-            self._state,
-            self._model,
-            knowledge,
-            knowledge.ephemeris,
-            measurement,
-            self._columns.power_dbm(measurement, plan),
-            is_late=is_late,
-            is_catch_up=is_catch_up,
-            config=self._config,
-        )
-        self._state = outcome.state
-        if not is_late:
-            self._last = (outcome, self._model)
-        return outcome.row
-
     def steps(
         self,
         measurements: Sequence[Measurement],
@@ -295,12 +285,28 @@ class PaperRunner:
         is_catch_up: bool,
     ) -> list[MethodRow]:
         """Return the rows of measurements in order; the state moves on unless they are late."""
-        rows = []
-        for each in measurements:
-            row = self.step(each, plan, knowledge, is_late=is_late, is_catch_up=is_catch_up)
-            found = partial(_disturbance, self._state, self._model)
-            rows.append(MethodRow(row) if is_late else MethodRow(row, self.carrier_levels(), found))
-        return rows
+        model, columns = self._model, self._columns
+        if model is None or self._state is None or columns is None:
+            message = "the paper method was stepped without a model"
+            raise ValueError(message)
+        power_dbm = np.array([columns.power_dbm(each, plan) for each in measurements])
+        found, self._state = take_rows(
+            self._state,
+            model,
+            knowledge,
+            measurements,
+            power_dbm,
+            is_late=is_late,
+            is_catch_up=is_catch_up,
+            config=self._config,
+        )
+        if is_late:
+            return [MethodRow(each.row) for each in found]
+        self._last = found[-1].row, found[-1].levels, model
+        return [
+            MethodRow(each.row, _carrier_levels(each.levels, model), partial(_disturbance, each.result, model))
+            for each in found
+        ]
 
     @property
     def is_waiting(self) -> bool:
@@ -311,23 +317,23 @@ class PaperRunner:
         """Return what `restore` goes on from; None while nothing runs."""
         if self._state is None:
             return None
-        if self._last is None or self._last[1] is not self._model:
+        if self._last is None or self._last[2] is not self._model:
             return SavedPaper(self._state, None, None)
-        last, _ = self._last
-        return SavedPaper(self._state, last.row, last.levels)
+        row, levels, _ = self._last
+        return SavedPaper(self._state, row, levels)
 
     def restore(self, saved: SavedPaper, knowledge: Knowledge) -> None:
         """Go on from a saved state under the knowledge of then."""
         self._model, self._columns = self._model_of(knowledge)
         self._state = saved.state
         if saved.row is not None and saved.levels is not None and self._model is not None:
-            self._last = PaperStep(saved.row, saved.levels, saved.state), self._model
+            self._last = saved.row, saved.levels, self._model
 
     def carrier_states(self) -> dict[str, CarrierState]:
         """Return the state of each carrier of the calibration after the newest row."""
         if self._last is None:
             return {}
-        (row, levels, _), model = self._last
+        row, levels, model = self._last
         is_selected, excluded = model.arrays.carriers["is_selected"], {item.carrier for item in row.excluded}
         return {
             name: CarrierState(
@@ -345,12 +351,7 @@ class PaperRunner:
 
     def carrier_levels(self) -> CarrierLevels | None:
         """Return the figures of the newest row that was not late, None before it; they are not copied."""
-        if self._last is None:
-            return None
-        (_, levels, _), model = self._last
-        figures = levels["deviation_db"], levels["residual_db"], levels["sigma_db"]
-        no_hypothesis = np.zeros(len(levels), dtype=np.int64)
-        return CarrierLevels(model.carrier_ids, *figures, model.arrays.carriers["is_selected"], no_hypothesis)
+        return None if self._last is None else _carrier_levels(*self._last[1:])
 
     def command_evidence(self) -> CommandEvidence | None:
         """Return None: the method has no model of the noise."""
@@ -369,11 +370,15 @@ class PaperRunner:
         return model, CalibratedColumns(model.carrier_ids, plan)
 
 
-def _disturbance(state: LoopState | None, model: PaperModel | None) -> Disturbance | None:
-    """Return the torque that the loop has learned; None where it knows of none."""
-    if model is None or model.inertia_kg_m2 is None or state is None:
+def _carrier_levels(levels: NDArray[np.void], model: PaperModel) -> CarrierLevels:
+    """Return the figures of the carriers in a row; they are not copied."""
+    figures = levels["deviation_db"], levels["residual_db"], levels["sigma_db"]
+    no_hypothesis = np.zeros(len(levels), dtype=np.int64)
+    return CarrierLevels(model.carrier_ids, *figures, model.arrays.carriers["is_selected"], no_hypothesis)
+
+
+def _disturbance(result: np.void, model: PaperModel) -> Disturbance | None:
+    """Return the torque that the loop has learned by a row; None where it knows of none."""
+    if model.inertia_kg_m2 is None:
         return None
-    arrays = state.arrays
-    learned = arrays.mean[TORQUE], arrays.covariance[TORQUE, TORQUE]
-    epoch_us = int(arrays.counters["estimate_us"][0])
-    return disturbance_of(*learned, model.motion, model.inertia_kg_m2, epoch_us)
+    return disturbance_of(result["torque_deg_h2"], model.motion, model.inertia_kg_m2, int(result["estimate_us"]))

@@ -6,13 +6,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from service.core.estimation.filtering.filter_model import FilterSettings, Gaussian
+from service.core.estimation.filtering.filter_model import FilterSettings
 from service.core.estimation.filtering.integrity import REASONS
-from service.core.estimation.filtering.plant import TORQUES
 from service.core.estimation.filtering.polarimeter import polarimeter_advice
 from service.core.estimation.filtering.row import MIN_CARRIERS
 from service.core.estimation.filtering.row_block import EXCLUSIONS, BlockResult
-from service.core.estimation.filtering.state_changes import is_torque_seen, sensors_of
+from service.core.estimation.filtering.state_changes import sensors_of
 from service.core.estimation.filtering.wheel_momentum import momentum_advice
 from service.core.estimation.snapshot.snapshot import CarrierUse, Snapshots
 from service.pipeline.config import ChainConfig
@@ -87,9 +86,10 @@ def filtered_rows(
     """
     whole = int(np.count_nonzero(model.is_used))
     made = []
-    for number, (measurement, figures) in enumerate(zip(measurements, _figures(model, result), strict=True)):
-        attitude_deg, epoch_us = figures.attitude_deg, measurement.epoch_us
-        is_beyond = max(abs(attitude_deg.roll), abs(attitude_deg.pitch)) > config.interlock.model_range_deg
+    for number, (measurement, figures) in enumerate(zip(measurements, _figures(result.rows), strict=True)):
+        epoch_us, used, rain_db = measurement.epoch_us, figures.carriers_used, figures.rain_db
+        _, roll_deg, pitch_deg = figures.attitude_deg
+        is_beyond = max(abs(roll_deg), abs(pitch_deg)) > config.interlock.model_range_deg
         is_lost = bool(is_without_orbit[number])
         inhibitions = _inhibitions(knowledge, epoch_us, figures.reasons, is_catch_up, is_beyond, is_lost)
         made.append(
@@ -98,24 +98,24 @@ def filtered_rows(
                 received_at_us=measurement.received_at_us,
                 number=measurement.number,
                 method=Method.ROBUST,
-                attitude_deg=attitude_deg,
-                sigma_deg=figures.sigma_deg,
-                rates_deg_s=figures.rates_deg_s,
-                status=Status.ACQUIRED if figures.used >= MIN_CARRIERS else Status.EXPIRED,
+                attitude_deg=Axes(*figures.attitude_deg),
+                sigma_deg=Axes(*figures.sigma_deg),
+                rates_deg_s=Axes(*figures.rates_deg_s),
+                status=Status.ACQUIRED if used >= MIN_CARRIERS else Status.EXPIRED,
                 control_allowed=not inhibitions,
                 control_allowed_axes=NO_AXES if inhibitions else (figures.is_yaw_allowed, True, True),
                 inhibitions=inhibitions,
-                carriers_used=figures.used,
-                excluded=() if figures.used == whole else _exclusions(model, result.carriers[number]),
+                carriers_used=used,
+                excluded=() if used == whole else _exclusions(model, result.carriers[number]),
                 downlink_fade=figures.is_raining,
-                downlink_fade_db=figures.rain_db if figures.is_raining else 0.0,
+                downlink_fade_db=rain_db if figures.is_raining else 0.0,
                 common_db=figures.common_db,
-                residual_rms_db=figures.rms_db,
+                residual_rms_db=figures.residual_rms_db,
                 calibration_id=model.calibration_id,
                 alignment_id=model.alignment_id,
-                protection_deg=figures.protection_deg,
-                nominal_protection_deg=figures.nominal_deg,
-                waiting_loss_deg=figures.loss_deg,
+                protection_deg=Axes(*figures.protection_deg),
+                nominal_protection_deg=Axes(*figures.nominal_deg),
+                waiting_loss_deg=Axes(*figures.waiting_loss_deg),
                 advice=_advice(model, knowledge, state, result.rows[number], epoch_us),
             )
         )
@@ -123,58 +123,26 @@ def filtered_rows(
 
 
 class _Figures(NamedTuple):
-    """Figures of a row of a block."""
+    """Figures of a row, named as in `RESULT`; triples in the order yaw, roll, pitch."""
 
-    attitude_deg: Axes
-    sigma_deg: Axes
-    rates_deg_s: Axes
-    protection_deg: Axes
-    nominal_deg: Axes
-    loss_deg: Axes
-    used: int
+    attitude_deg: list[float]
+    sigma_deg: list[float]
+    rates_deg_s: list[float]
+    protection_deg: list[float]
+    nominal_deg: list[float]
+    waiting_loss_deg: list[float]
+    carriers_used: int
+    residual_rms_db: float
     is_raining: bool
     rain_db: float
     common_db: float
-    rms_db: float
     reasons: int
     is_yaw_allowed: bool
 
 
-def _figures(model: RobustModel, result: BlockResult) -> Iterator[_Figures]:
-    """Yield the figures of the rows of a block: arrays as a whole cost a tenth of their numbers one by one."""
-    rows, carriers = result.rows, result.carriers
-    is_there = carriers["is_used"] & np.isfinite(carriers["residual_db"])
-    angles = (
-        rows["attitude_deg"],
-        np.sqrt(np.diagonal(rows["covariance_deg2"], axis1=1, axis2=2)),
-        _rates_deg_s(rows, model.settings.coupling_per_h),
-        *(rows[name] for name in ("protection_deg", "nominal_deg", "waiting_loss_deg")),
-    )
-    numbers = (
-        np.count_nonzero(carriers["is_used"], axis=1),
-        *(rows[name] for name in ("is_raining", "rain_db", "common_db")),
-        _rms(np.where(is_there, carriers["residual_db"], 0.0), is_there),
-        *(rows[name] for name in ("reasons", "is_yaw_allowed")),
-    )
-    by_axis = ([Axes(*one) for one in each.tolist()] for each in angles)
-    yield from map(_Figures, *by_axis, *(each.tolist() for each in numbers))
-
-
-def _rates_deg_s(rows: NDArray[np.void], coupling_per_h: float) -> FloatArray:
-    """Return the rates (T, 3) of yaw, roll and pitch that attitude, drift and commanded rate imply, deg/s."""
-    rates_deg_h = rows["drift_deg_h"] + rows["rate_deg_h"]
-    rates_deg_h[:, 0] -= coupling_per_h * rows["attitude_deg"][:, 1]
-    rates_deg_h[:, 1] += coupling_per_h * rows["attitude_deg"][:, 0]
-    return np.asarray(rates_deg_h / 3600.0)
-
-
-def _rms(values: FloatArray, is_there: BoolArray) -> FloatArray:
-    """Return the root mean square (T,) of the values (T, N) that are there, NaN where none is."""
-    total, count = np.zeros(len(values)), np.count_nonzero(is_there, axis=1)
-    # carrier by carrier: the same bits for any number of rows
-    for column in values.T:
-        total += column**2
-    return np.where(count > 0, np.sqrt(total / np.maximum(count, 1)), np.nan)
+def _figures(rows: NDArray[np.void]) -> Iterator[_Figures]:
+    """Return the figures of rows of `RESULT`: arrays as a whole cost a tenth of their numbers one by one."""
+    return map(_Figures._make, zip(*(rows[name].tolist() for name in _Figures._fields), strict=True))
 
 
 def _inhibitions(
@@ -206,7 +174,7 @@ def _advice(
     model: RobustModel, knowledge: Knowledge, state: RobustState, row: np.void, epoch_us: int
 ) -> tuple[str, ...]:
     """Return what the operator should do while control goes on."""
-    is_shown = model.is_torque_unknown and _is_torque_shown(row)
+    is_shown = model.is_torque_unknown and bool(row["is_torque_shown"])
     given = {"realign": bool(row["is_realignment_advised"]), "state_torque": is_shown}
     if model.has_sensors or model.contradicted or model.is_rate_in_loop:
         since_us, is_used = state.commanded.since_us, model.settings.momentum is not None
@@ -216,15 +184,6 @@ def _advice(
         given["rates_in_loop"] = model.is_rate_in_loop and knowledge.has_rate(epoch_us)
         given |= polarimeter_advice(state.polarimeters, epoch_us)
     return tuple(code for code, is_given in given.items() if is_given)
-
-
-def _is_torque_shown(row: np.void) -> bool:
-    """Return whether the torque that nobody stated has shown itself, in the state or as motion."""
-    covariance = row["torque_covariance"]
-    is_known = bool(covariance.any())
-    return bool(row["is_followed"]) or (
-        is_known and is_torque_seen(Gaussian(row["torque_deg_h2"], covariance), slice(0, TORQUES))
-    )
 
 
 def _exclusions(model: RobustModel, carriers: NDArray[np.void]) -> tuple[Exclusion, ...]:
@@ -242,7 +201,8 @@ def late_row(measurement: Measurement, model: RobustModel, fixes: Snapshots, *, 
         Exclusion(model.carrier_ids[k], "uplink_fade" if fixes.residual_db[0, k] < 0.0 else "step")
         for k in np.flatnonzero(is_out)
     ]
-    used = np.isin(fixes.use[0], (CarrierUse.USED, CarrierUse.GROUP_MOVED))
+    is_used = np.isin(fixes.use[0], (CarrierUse.USED, CarrierUse.GROUP_MOVED)) & np.isfinite(fixes.residual_db[0])
+    left_db = fixes.residual_db[0, is_used]
     return AttitudeRow(
         epoch_us=measurement.epoch_us,
         received_at_us=measurement.received_at_us,
@@ -260,19 +220,17 @@ def late_row(measurement: Measurement, model: RobustModel, fixes: Snapshots, *, 
         downlink_fade=False,
         downlink_fade_db=0.0,
         common_db=float(fixes.common_db[0]),
-        residual_rms_db=float(_rms(fixes.residual_db, used[None, :] & np.isfinite(fixes.residual_db))[0]),
+        residual_rms_db=float(np.sqrt(np.mean(left_db**2))) if len(left_db) else float("nan"),
         calibration_id=model.calibration_id,
         alignment_id=model.alignment_id,
     )
 
 
-def known_disturbance(
-    torque_deg_h2: FloatArray, covariance: FloatArray, model: RobustModel, epoch_us: int
-) -> Disturbance | None:
-    """Return the torque that acts without being fed forward, its phase zero at an epoch; None = there is none."""
+def known_disturbance(torque_deg_h2: FloatArray, model: RobustModel, epoch_us: int) -> Disturbance | None:
+    """Return a torque (4, 3) that acts without being fed forward, its phase zero at an epoch; None = there is none."""
     if model.inertia_kg_m2 is None or not model.is_pushed:
         return None
-    return disturbance_of(torque_deg_h2, covariance, model.settings, model.inertia_kg_m2, epoch_us)
+    return disturbance_of(torque_deg_h2, model.settings, model.inertia_kg_m2, epoch_us)
 
 
 def torque_of(settings: FilterSettings) -> tuple[object, ...]:

@@ -11,11 +11,9 @@ from dataclasses import replace
 import numpy as np
 
 from service.core.estimation.filtering.advance import advance
-from service.core.estimation.filtering.attitude_filter import filter_step
 from service.core.estimation.filtering.filter_model import FREE_REFERENCE_DB2, hidden_count, initial_gaussian
 from service.core.estimation.filtering.filter_state import start
 from service.core.estimation.filtering.motion_sensor import SensorWatch
-from service.core.estimation.filtering.plant import TORQUES
 from service.core.estimation.filtering.prediction import site_level_db
 from service.core.estimation.filtering.rate_sensor import fresh_rates
 from service.core.estimation.filtering.readings import frozen_readings, no_readings, standing_readings
@@ -122,8 +120,7 @@ def step_late(state: RobustState, model: RobustModel, measurement: Measurement, 
         fixes.residual_db[0],
         state,
         np.zeros(len(model.carrier_ids), dtype=np.int64),
-        np.zeros(TORQUES),
-        np.zeros((TORQUES, TORQUES)),
+        np.zeros((4, 3)),
     )
 
 
@@ -163,7 +160,7 @@ def take_rows(
         message = "the filter lost its numbers; the state before this row is kept"
         raise ArithmeticError(message)
     if recorder is not None and trace is not None:
-        recorder.push(model, state.filter, filter_step(after, result, 0, trace))
+        recorder.push(model, state.filter, after, result.rows[0], trace)
     watches = state.momentum, state.rates, state.polarimeters
     last = RobustState(after, commanded, readings, released, measurements[-1].source, *watches)
     is_without_orbit = np.asarray(~np.isfinite(expected_dbm).any(axis=1))
@@ -180,7 +177,6 @@ def take_rows(
             last,
             found["hypothesis"][number],
             result.rows["torque_deg_h2"][number],
-            result.rows["torque_covariance"][number],
             not result.rows["has_event"][number],
         )
         for number in range(count)

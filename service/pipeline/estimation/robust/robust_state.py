@@ -46,9 +46,8 @@ class RobustStep(NamedTuple):
     state: RobustState
     #: (N,) positions in `CARRIER_HYPOTHESES`
     hypothesis: IntArray
-    #: (9,) and (9, 9) torque states and their covariance
+    #: (4, 3) torque that is not fed forward, as in `RESULT`
     torque_deg_h2: FloatArray
-    torque_covariance: FloatArray
     #: whether nothing was found or declared
     is_ordinary: bool = True
 
@@ -65,9 +64,8 @@ class SavedRobust(NamedTuple):
     deviation_db: FloatArray
     residual_db: FloatArray
     hypothesis: IntArray
-    #: (9,) and (9, 9) torque states and their covariance
+    #: (4, 3) torque that is not fed forward, as in `RESULT`
     torque_deg_h2: FloatArray
-    torque_covariance: FloatArray
 
 
 def saved_robust(state: RobustState, aligned_under: Ephemeris | None, last: RobustStep | None) -> SavedRobust:
@@ -75,9 +73,7 @@ def saved_robust(state: RobustState, aligned_under: Ephemeris | None, last: Robu
     under = None if aligned_under is None else aligned_under.id
     if last is None:
         nothing = np.zeros(0)
-        return SavedRobust(
-            state, under, None, nothing, nothing, nothing, np.zeros(0, dtype=np.int64), nothing, np.zeros((0, 0))
-        )
+        return SavedRobust(state, under, None, *(nothing,) * 3, np.zeros(0, dtype=np.int64), nothing)
     return SavedRobust(
         state,
         under,
@@ -87,7 +83,6 @@ def saved_robust(state: RobustState, aligned_under: Ephemeris | None, last: Robu
         last.residual_db,
         last.hypothesis,
         last.torque_deg_h2,
-        last.torque_covariance,
     )
 
 
@@ -96,5 +91,5 @@ def newest_row(saved: SavedRobust, model: RobustModel | None) -> tuple[RobustSte
     if saved.row is None or model is None:
         return None
     levels = saved.expected_dbm, saved.deviation_db, saved.residual_db
-    step = RobustStep(saved.row, *levels, saved.state, saved.hypothesis, saved.torque_deg_h2, saved.torque_covariance)
+    step = RobustStep(saved.row, *levels, saved.state, saved.hypothesis, saved.torque_deg_h2)
     return step, model

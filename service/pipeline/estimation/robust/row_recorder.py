@@ -9,11 +9,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from service.core.estimation.filtering.attitude_filter import FilterStep
 from service.core.estimation.filtering.filter_model import DRIFT, RATE, FilterSettings
 from service.core.estimation.filtering.filter_state import FilterState
 from service.core.estimation.filtering.motion_sensor import NO_EFFECT, SensorEffect
 from service.core.estimation.filtering.plant import TORQUES, has_torque, sensor_states
+from service.core.estimation.filtering.row_block import RowTrace
 from service.core.estimation.filtering.state_changes import sensors_of
 from service.core.estimation.smoothing.effective_row import (
     EffectiveRow,
@@ -67,18 +67,16 @@ class RowRecorder:
             effects = [*effects, SensorEffect(begun)]
         self._began, self._effects = began, tuple(each for each in effects if each is not NO_EFFECT)
 
-    def push(self, model: RobustModel, before: FilterState, found: FilterStep) -> None:
-        """Keep a row of the filter that was taken with its trace."""
+    def push(self, model: RobustModel, before: FilterState, after: FilterState, row: np.void, trace: RowTrace) -> None:
+        """Keep a row of the filter, a record of `RESULT`, with its trace and the states around it."""
         effects, began = self._effects, before.mean if self._began is None else self._began
         self._began, self._effects = None, ()
-        if found.state is before:
+        if after is before:
             return
-        while self._rows and self._rows[-1].epoch_us >= found.state.epoch_us:
+        while self._rows and self._rows[-1].epoch_us >= after.epoch_us:
             self._rows.pop()
-        if found.trace is None:
-            return
         origin = self._origin(model, began)
-        self._rows.append(effective_row(model.filter, model.settings, before, found, found.trace, origin, effects))
+        self._rows.append(effective_row(model.filter, model.settings, before, after, row, trace, origin, effects))
         self._model = model
 
     def _origin(self, model: RobustModel, mean: FloatArray) -> IntArray | None:

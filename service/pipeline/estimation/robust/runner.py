@@ -460,4 +460,4 @@ def _again(take: Callable[[RobustState], list[RobustStep]], state: RobustState) 
 
 def _disturbance(found: RobustStep, model: RobustModel) -> Disturbance | None:
     """Return the torque that acts at a row without being fed forward; None where the catalogue states none."""
-    return known_disturbance(found.torque_deg_h2, found.torque_covariance, model, found.row.epoch_us)
+    return known_disturbance(found.torque_deg_h2, model, found.row.epoch_us)

@@ -10,10 +10,10 @@ from pathlib import Path
 import filter_models
 import numpy as np
 import pytest
+from filter_rows import step
 from numba.core import caching
 
 from service.core.compiled_entry import CompiledEntry
-from service.core.estimation.filtering.attitude_filter import step
 from service.core.estimation.filtering.filter_model import no_motion
 from service.core.estimation.filtering.filter_state import start
 from service.core.estimation.filtering.plant import filter_model
@@ -119,7 +119,7 @@ def filtered():
         deviation_db = rng.normal(0.0, 0.15, model.carriers) + 3.0 * (row > 12) * (np.arange(model.carriers) == 2)
         found = step(arrays, state, row * filter_models.MINUTE_US, deviation_db, no_motion())
         state = found.state
-    return [*state.mean.tolist(), *np.sqrt(state.covariance.diagonal()).tolist(), *found.protection_deg.tolist()]
+    return [*state.mean.tolist(), *np.sqrt(state.covariance.diagonal()).tolist(), *found.row["protection_deg"].tolist()]
 
 
 def test_without_the_compiler_the_filter_runs_as_it_stands():

@@ -5,7 +5,14 @@ from itertools import product
 import numpy as np
 import pytest
 
-from service.core.control.command_plan import Horizon, KnownTorque, Situation, compiled_plan, plan_command
+from service.core.control.command_plan import (
+    Horizon,
+    KnownTorque,
+    Situation,
+    compiled_plan,
+    plan_allocated,
+    plan_command,
+)
 from service.core.control.quaternion_law import (
     GEOSTATIONARY_RATE_RAD_S,
     inertia_about_angles,
@@ -240,10 +247,13 @@ def test_compiled_it_is_the_same_plan(seed):
     rng = np.random.default_rng(seed)
     situation = Situation(rng.uniform(-0.6, 0.6, 3), rng.uniform(-1e-4, 1e-4, 3), EVERY, 60.0)
     torque = KnownTorque(rng.uniform(-8e-7, 8e-7, (3, 3)), 86_400.0, 7_000.0)
-    given = GAINS, CRAFT_DRIVE, situation, torque, Horizon(SLEW_S, SLICE_S, 7), Envelope(), 0.95
-    plain, compiled = plan_command(*given), compiled_plan(*given)
-    np.testing.assert_allclose(compiled.pulses, plain.pulses, rtol=0.0, atol=1e-9)
-    assert compiled[1:] == plain[1:]
+    given = situation, torque, Horizon(SLEW_S, SLICE_S, 7), Envelope(), 0.95, rng.normal(0.0, 5.0, 3), 3600.0
+    (plain, period_s), (compiled, compiled_s) = (
+        run(GAINS, CRAFT_DRIVE, wheel_set(np.eye(3), 0.05, 20.0), *given) for run in (plan_allocated, compiled_plan)
+    )
+    for one, other in zip(plain[:3], compiled[:3], strict=True):
+        np.testing.assert_allclose(other, one, rtol=0.0, atol=1e-9)
+    assert (compiled.is_cut, compiled_s) == (plain.is_cut, period_s)
 
 
 def test_a_command_begins_where_the_spacecraft_will_be():

@@ -3,8 +3,8 @@
 import filter_models
 import numpy as np
 import pytest
+from filter_rows import step
 
-from service.core.estimation.filtering.attitude_filter import step
 from service.core.estimation.filtering.command_watch import (
     DOUBTED_MINUTES,
     judge_commands,

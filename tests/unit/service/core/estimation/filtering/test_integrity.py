@@ -3,10 +3,11 @@
 import filter_models
 import numpy as np
 import pytest
+from filter_rows import verdict_of
 
 from service.core.estimation.filtering.filter_model import ATTITUDE, RATE, FilterSettings, core_size
 from service.core.estimation.filtering.filter_state import start
-from service.core.estimation.filtering.integrity import assess, integrity_of, waiting_loss_deg
+from service.core.estimation.filtering.integrity import assess, waiting_loss_deg
 from service.core.estimation.filtering.plant import filter_model
 from service.core.estimation.filtering.row_block import empty_result
 from service.core.estimation.filtering.state_changes import inserted, torque_states, with_torque
@@ -43,7 +44,7 @@ def judged(state, settings=CALM, carriers_used=CARRIERS):
     """Return the verdict on a state, in which until when figures inhibit is written."""
     found = empty_result(1, CARRIERS).rows[0]
     assess(filter_model(CARRIER_MODEL, settings), state, carriers_used, found)
-    return integrity_of(int(found["reasons"]), bool(found["is_yaw_allowed"]), bool(found["is_realignment_advised"]))
+    return verdict_of(found)
 
 
 def verdict_on(settings=CALM, carriers_used=CARRIERS, **change):

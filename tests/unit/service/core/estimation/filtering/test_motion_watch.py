@@ -3,8 +3,8 @@
 import filter_models
 import numpy as np
 import pytest
+from filter_rows import step
 
-from service.core.estimation.filtering.attitude_filter import step
 from service.core.estimation.filtering.filter_model import (
     DRIFT,
     FilterSettings,

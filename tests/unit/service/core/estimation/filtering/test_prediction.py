@@ -4,8 +4,8 @@ import filter_models
 import numpy as np
 import pytest
 from filter_models import reference_states
+from filter_rows import step
 
-from service.core.estimation.filtering.attitude_filter import step
 from service.core.estimation.filtering.declared import nothing_declared
 from service.core.estimation.filtering.filter_model import (
     ATTITUDE,

@@ -3,8 +3,8 @@
 import filter_models
 import numpy as np
 import pytest
+from filter_rows import step
 
-from service.core.estimation.filtering.attitude_filter import step
 from service.core.estimation.filtering.filter_model import (
     ATTITUDE,
     FREE_REFERENCE_DB2,
@@ -177,7 +177,7 @@ def test_a_reference_that_moved_leaves_the_innovations_as_they_are(old, steered)
     plain = step(filter_model(new), changed(old, steered), epoch_us, row, no_motion())
     moved = step(filter_model(new), changed(old, steered, reference_db=0.7), epoch_us, row + 0.7, no_motion())
     # the same numbers up to rounding of levels of some dB
-    np.testing.assert_allclose(moved.innovation_db, plain.innovation_db, atol=1e-12)
+    np.testing.assert_allclose(moved.carriers["innovation_db"], plain.carriers["innovation_db"], atol=1e-12)
     np.testing.assert_allclose(moved.state.aside_db, plain.state.aside_db + 0.7, atol=1e-12)
 
 
@@ -193,7 +193,7 @@ def test_unknown_carriers_show_their_level_first(old, steered):
     reported = driven(new, reported.state, 40, rng, level_db)
     assert len(reported.used) == new.carriers
     assert reported.state.carriers["is_relearned"][~STAYING].all()
-    assert (np.abs(reported.attitude_deg) < 4.0 * np.sqrt(np.diagonal(reported.covariance_deg2))).all()
+    assert (np.abs(reported.attitude_deg) < 4.0 * reported.sigma_deg).all()
 
 
 def test_a_staying_carrier_whose_level_is_void_begins_again(old, steered):

@@ -5,9 +5,9 @@ from typing import NamedTuple
 import filter_models
 import numpy as np
 import pytest
+from filter_rows import step
 from wheel_filter import WHEELS, H
 
-from service.core.estimation.filtering.attitude_filter import step
 from service.core.estimation.filtering.filter_model import (
     ATTITUDE,
     FREE_REFERENCE_DB2,
@@ -181,10 +181,12 @@ def taken(model, changes_db, seed=1):
         level_db = change_db + model.white_sigma_db * rng.standard_normal(CARRIERS)
         before = states[-1]
         epoch_us = before.epoch_us + MINUTE_US
-        found = step(compiled, before, epoch_us, level_db, no_motion(), is_traced=True)
-        plain = step(compiled, before, epoch_us, level_db, no_motion())
+        found = step(compiled, before, epoch_us, level_db, no_motion())
+        plain = step(compiled, before, epoch_us, level_db, no_motion(), is_traced=False)
         assert filter_models.bits(found.state) == filter_models.bits(plain.state)
-        rows.append(effective_row(model, SETTINGS, before, found, found.trace, np.arange(len(before.mean))))
+        rows.append(
+            effective_row(model, SETTINGS, before, found.state, found.row, found.trace, np.arange(len(before.mean)))
+        )
         states.append(found.state)
     return states[1:], rows
 
@@ -287,10 +289,10 @@ def sensed_rows(sensed_model):
             records.append((effect, gaussian))
         sensed = state.with_gaussian(gaussian)
         level_db = sensed_model.white_sigma_db * rng.standard_normal(SENSED_CARRIERS)
-        found = step(compiled, sensed, at_us + MINUTE_US, level_db, no_motion(), is_traced=True)
+        found = step(compiled, sensed, at_us + MINUTE_US, level_db, no_motion())
         origin = np.arange(len(gaussian.mean)) if taken else None
         effects = [effect for effect, _ in records]
-        row = effective_row(sensed_model, SENSED, sensed, found, found.trace, origin, effects)
+        row = effective_row(sensed_model, SENSED, sensed, found.state, found.row, found.trace, origin, effects)
         taken.append(Taken(state.gaussian, records, found.state.gaussian, row))
         state = found.state
     assert not wheels.jumps

@@ -6,10 +6,10 @@ from types import SimpleNamespace
 import filter_models
 import numpy as np
 import pytest
+from filter_rows import step
 from geometry_flight import MINUTE
 from stepped_robust import ALIGNED_US, PAYLOAD, Stepped
 
-from service.core.estimation.filtering.attitude_filter import step
 from service.core.estimation.filtering.filter_model import ATTITUDE, RATE, FilterSettings, core_size, no_motion
 from service.core.estimation.filtering.filter_state import start
 from service.core.estimation.filtering.plant import filter_model
@@ -49,9 +49,9 @@ def run(recorder, model, state, rows, *, is_recorded=True, **known):
         level_db = 0.1 * np.sin(state.epoch_us / MINUTE_US + np.arange(CARRIERS))
         motion = no_motion()._replace(**known)
         epoch_us = state.epoch_us + MINUTE_US
-        found = step(model.arrays, state, epoch_us, level_db, motion, is_traced=is_recorded)
+        found = step(model.arrays, state, epoch_us, level_db, motion)
         if is_recorded:
-            recorder.push(model, state, found)
+            recorder.push(model, state, found.state, found.row, found.trace)
         state = found.state
     return state
 
@@ -95,8 +95,8 @@ def test_a_released_command_is_a_new_state_and_all_others_have_their_past(model)
 def test_a_row_that_is_not_newer_than_the_state_is_not_kept(model):
     recorder = RowRecorder(100)
     state = run(recorder, model, aligned(model), 2)
-    found = step(model.arrays, state, state.epoch_us, np.zeros(CARRIERS), no_motion(), is_traced=True)
-    recorder.push(model, state, found)
+    found = step(model.arrays, state, state.epoch_us, np.zeros(CARRIERS), no_motion())
+    recorder.push(model, state, found.state, found.row, found.trace)
     assert len(recorder.rows) == 2
 
 

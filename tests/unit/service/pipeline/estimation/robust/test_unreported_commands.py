@@ -266,7 +266,7 @@ def test_corrections_and_late_rows_between_release_and_report_are_kept(flight):
 def disturbance(flight):
     """Return the torque that acts at the newest row."""
     found, model = flight.chain._runners[0]._last
-    return known_disturbance(found.torque_deg_h2, found.torque_covariance, model, found.row.epoch_us)
+    return known_disturbance(found.torque_deg_h2, model, found.row.epoch_us)
 
 
 def test_another_statement_about_the_craft_between_release_and_report_is_kept(flight):
