@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-
 #: thresholds of the collector while something is compiled
 _FEWER_COLLECTIONS = (20_000, 50, 10)
 

@@ -25,7 +25,7 @@ def compare(watch: Disagreement, rows: Sequence[AttitudeRow], config: RobustConf
     """Return the watch after the rows of one measurement; a row without angles says nothing."""
     reported = [row for row in rows if row.status is Status.ACQUIRED]
     if len(reported) < 2:
-        return replace(watch, apart_deg=math.nan)
+        return watch if math.isnan(watch.apart_deg) else replace(watch, apart_deg=math.nan)
     one, other = reported[0].attitude_deg, reported[1].attitude_deg
     apart_deg = max(abs(one.roll - other.roll), abs(one.pitch - other.pitch))
     if not apart_deg > config.disagreement_deg:

@@ -176,21 +176,18 @@ def empty_means(state: PaperState, carriers: int) -> PaperState:
     return PaperState(counters, np.zeros(2, FADE), *window, state.pending, state.mean, state.covariance)
 
 
-def with_room(state: PaperState, rows: int) -> PaperState:
-    """Return a copy of a state with room for some rows more, and as many fixes."""
-    after = PaperState(
-        # types of their own: those of a restored state look alike and are others to the compiler; no byte is left over
-        np.zeros(1, COUNTERS),
-        np.zeros(2, FADE),
-        np.zeros(len(state.window_us) + rows, dtype=np.int64),
-        np.zeros((len(state.window_us) + rows, state.window_db.shape[1])),
-        np.zeros(len(state.pending) + rows, PENDING),
-        state.mean.copy(),
-        state.covariance.copy(),
+def room(state: PaperState, rows: int) -> PaperState:
+    """Return arrays into which a state fits after some rows more, and as many fixes; their numbers are undefined."""
+    rows_more, fixes_more = len(state.window_us) + rows, len(state.pending) + rows
+    return PaperState(
+        np.empty(1, COUNTERS),
+        np.empty(2, FADE),
+        np.empty(rows_more, dtype=np.int64),
+        np.empty((rows_more, state.window_db.shape[1])),
+        np.empty(fixes_more, PENDING),
+        np.empty_like(state.mean),
+        np.empty_like(state.covariance),
     )
-    for each, former in zip(after, state, strict=True):
-        each[: len(former)] = former
-    return after
 
 
 def without_room(state: PaperState) -> PaperState:
@@ -203,6 +200,7 @@ def without_room(state: PaperState) -> PaperState:
 def take_rows(
     model: PaperArrays,
     state: PaperState,
+    after: PaperState,
     commanded: Commanded,
     block: PaperBlock,
     levels: NDArray[np.void],
@@ -213,17 +211,32 @@ def take_rows(
     Parameters
     ----------
     state : PaperState
-        Moved on in place unless the rows are late, with room for the rows and as many fixes.
+        Before the rows; it is not changed.
+    after : PaperState
+        Written unless the rows are late, with room for them.
     levels, results : ndarray
         (T, N) of `LEVEL` and (T,) of `RESULT`, written.
     """
-    estimate_us = state.counters["estimate_us"][0]
+    estimate_us, moving = state.counters["estimate_us"][0], state
+    if not block.is_late:
+        moving = after
+        _copy_state(state, after)
     for number in range(len(block.epochs_us)):
-        result = results[number : number + 1]
-        _take_row(model, state, commanded, block, number, levels[number], result)
-        if state.counters["estimate_us"][0] > estimate_us:
+        _take_row(model, moving, commanded, block, number, levels[number], results[number : number + 1])
+        if moving.counters["estimate_us"][0] > estimate_us:
             # late changes count once
             commanded = Commanded(commanded.motions, np.zeros((2, 3)), commanded.since_us)
+
+
+def _copy_state(state: PaperState, into: PaperState) -> None:
+    """Write a state into arrays that have room for it."""
+    into.counters[0], into.mean[:], into.covariance[:, :] = state.counters[0], state.mean, state.covariance
+    for place in range(2):
+        into.watches[place] = state.watches[place]
+    for place in range(state.counters["pending"][0]):
+        into.pending[place] = state.pending[place]
+    rows = state.counters["rows"][0]
+    into.window_us[:rows], into.window_db[:rows] = state.window_us[:rows], state.window_db[:rows]
 
 
 def _take_row(

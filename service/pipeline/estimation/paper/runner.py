@@ -26,7 +26,7 @@ from service.core.estimation.paper.row import (
     PaperState,
     empty_means,
     initial_arrays,
-    with_room,
+    room,
     without_room,
 )
 from service.core.estimation.paper.snapshot import ABSENT, USED
@@ -111,9 +111,9 @@ def take_rows(
     """
     count, carriers = power_dbm.shape
     levels, results = np.empty((count, carriers), LEVEL), np.zeros(count, RESULT)
-    after = state.arrays if is_late else with_room(state.arrays, count)
+    after = state.arrays if is_late else room(state.arrays, count)
     block = PaperBlock(*_times(measurements, knowledge), power_dbm, is_late)
-    TAKE_ROWS(model.arrays, after, commanded_arrays(state.commanded), block, levels, results)
+    TAKE_ROWS(model.arrays, state.arrays, after, commanded_arrays(state.commanded), block, levels, results)
     by_name = (results[name].tolist() for name in _Figures._fields)
     rows = []
     for number, (measurement, figures) in enumerate(

@@ -11,7 +11,12 @@ from dataclasses import replace
 import numpy as np
 
 from service.core.estimation.filtering.advance import advance
-from service.core.estimation.filtering.filter_model import FREE_REFERENCE_DB2, hidden_count, initial_gaussian
+from service.core.estimation.filtering.filter_model import (
+    FREE_REFERENCE_DB2,
+    hidden_count,
+    initial_gaussian,
+    no_motion,
+)
 from service.core.estimation.filtering.filter_state import start
 from service.core.estimation.filtering.motion_sensor import SensorWatch
 from service.core.estimation.filtering.prediction import site_level_db
@@ -203,10 +208,12 @@ def _write_inputs(
     for number, measurement in enumerate(measurements):
         to_us = measurement.epoch_us
         known, commanded = consume(commanded, from_us, to_us)
-        unreported, released = _unreported(released, from_us, to_us)
-        if not state.rates.is_measured:
-            # a measured rate holds all of it
-            write_known(block, number, known._replace(unreported=unreported))
+        if released:
+            unreported, released = _unreported(released, from_us, to_us)
+            known = known._replace(unreported=unreported)
+        # a measured rate holds all of it
+        if known is not no_motion() and not state.rates.is_measured:
+            write_known(block, number, known)
         declared = declared_between(operations, model.names, from_us, to_us, config.operations)
         if source is not None and source != measurement.source:
             # another measuring source is a step of the receiving chain
