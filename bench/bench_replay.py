@@ -10,6 +10,7 @@ import secrets
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
@@ -20,9 +21,8 @@ import numpy as np
 from bench import plain_batch
 from bench.bench_chain import yardstick_s
 from db.storage import SqlStorage
-from service.pipeline.chain import Chain
+from service.pipeline.chain import Chain, ChainRow
 from service.pipeline.config import ChainConfig
-from service.ports.archive import Outcome
 from service.records.catalogue import Method
 from service.records.levels.measurement import Measurement
 from service.records.operations.work import Job, JobState, Replay
@@ -100,16 +100,16 @@ def _replay(storage: SqlStorage, config: ChainConfig, rows: int) -> tuple[float,
     stop_us = start_us + (rows + 1) * MINUTE
     wanted = Replay(0, start_us, stop_us, Method.ROBUST, None, 1, "journal", job.id, start_us, commands=False)
     replay = storage.results.add_replay(SC, wanted)
-    plain, spent_s = Chain.step, 0.0
+    plain, spent_s = Chain.rows, 0.0
 
-    def timed(chain: Chain, measurement: Measurement, *, is_catch_up: bool = False) -> Outcome | None:
+    def timed(chain: Chain, measurements: Sequence[Measurement], *, is_catch_up: bool = False) -> list[ChainRow]:
         nonlocal spent_s
         began_s = time.thread_time()
-        outcome = plain(chain, measurement, is_catch_up=is_catch_up)
+        rows_out = plain(chain, measurements, is_catch_up=is_catch_up)
         spent_s += time.thread_time() - began_s
-        return outcome
+        return rows_out
 
-    with patch.object(Chain, "step", timed):
+    with patch.object(Chain, "rows", timed):
         began_s = time.process_time()
         ReplayRun(storage, config, SC, replay.version).run()
         taken_s = time.process_time() - began_s

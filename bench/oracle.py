@@ -12,6 +12,7 @@ given, and ``write DIR --flights FLIGHTS`` makes rows of that.
 import argparse
 import pickle
 import sys
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -25,7 +26,7 @@ from pyarrow import parquet
 from service.formats.tabular.measurement_file import MeasurementColumns
 from service.formats.tabular.series_tables import JoinedRow, joined_table
 from service.formats.tabular.table_file import table_bytes
-from service.pipeline.chain import Chain
+from service.pipeline.chain import Chain, ChainRow
 from service.pipeline.config import ChainConfig
 from service.pipeline.inputs.knowledge import JournalDocuments
 from service.ports.archive import Outcome
@@ -81,10 +82,10 @@ class RecordedChain(Chain):
         self.flight.entries.append(content)
         super().update(content)
 
-    def step(self, measurement: Measurement, *, is_catch_up: bool = False) -> Outcome | None:
-        """Take a row."""
-        self.flight.entries.append(measurement)
-        return super().step(measurement, is_catch_up=is_catch_up)
+    def rows(self, measurements: Sequence[Measurement], *, is_catch_up: bool = False) -> list[ChainRow]:
+        """Take rows."""
+        self.flight.entries.extend(measurements)
+        return super().rows(measurements, is_catch_up=is_catch_up)
 
 
 def main() -> int:

@@ -12,6 +12,7 @@ import os
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from unittest.mock import patch
@@ -24,8 +25,7 @@ from db.storage import SqlStorage
 from service.api.context import ApiContext
 from service.composition.bootstrap import build_app
 from service.composition.settings import Settings
-from service.pipeline.chain import Chain
-from service.ports.archive import Outcome
+from service.pipeline.chain import Chain, ChainRow
 from service.records.catalogue import Release
 from service.records.levels.measurement import Measurement
 from service.records.storage import sqlite_url
@@ -104,17 +104,17 @@ class _Run:
 
     def measure(self, seconds: int) -> bool:
         """Send a batch of every spacecraft each second, and print what came of it."""
-        plain, spent_s = Chain.step, 0.0
+        plain, spent_s = Chain.rows, 0.0
 
-        def timed(chain: Chain, measurement: Measurement, *, is_catch_up: bool = False) -> Outcome | None:
+        def timed(chain: Chain, measurements: Sequence[Measurement], *, is_catch_up: bool = False) -> list[ChainRow]:
             nonlocal spent_s
             began_s = time.thread_time()
-            outcome = plain(chain, measurement, is_catch_up=is_catch_up)
+            rows_out = plain(chain, measurements, is_catch_up=is_catch_up)
             spent_s += time.thread_time() - began_s
-            return outcome
+            return rows_out
 
         self._lags_s.clear()
-        with patch.object(Chain, "step", timed):
+        with patch.object(Chain, "rows", timed):
             began_s, began_cpu_s = time.perf_counter(), time.process_time()
             for second in range(seconds):
                 self.send(1 + second)

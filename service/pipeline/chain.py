@@ -16,6 +16,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,12 +27,14 @@ from service.pipeline.control.command.compute_command import NO_CARRY, compute_c
 from service.pipeline.control.command.control_design import is_gyro_orbitant
 from service.pipeline.control.command.schedule_check import PanelSwing, swing_after
 from service.pipeline.estimation.method import (
+    CarrierLevels,
     CommandEvidence,
     MethodRow,
     MethodRunner,
     RowEvidence,
     carrier_results,
     carrier_state,
+    nothing,
 )
 from service.pipeline.estimation.paper.runner import PaperRunner
 from service.pipeline.estimation.robust.row_recorder import RowRecorder
@@ -64,6 +67,18 @@ _RUNNERS: dict[Method, type[RobustRunner | PaperRunner]] = {Method.ROBUST: Robus
 _BROKEN = (ArithmeticError, ValueError, LookupError)
 #: in the order in which their rows are written
 METHODS = tuple(_RUNNERS)
+
+
+class ChainRow(NamedTuple):
+    """Row of powers, with what the chain makes of it."""
+
+    measurement: Measurement
+    #: None: nothing runs, or the row does not feed the estimator
+    outcome: Outcome | None
+    #: of the first method that runs, None of a late row
+    levels: CarrierLevels | None = None
+    #: returns the evidence of a row in time on commands, None where no method has any
+    command_evidence: Callable[[], CommandEvidence | None] = nothing
 
 
 class Chain:
@@ -152,11 +167,11 @@ class Chain:
 
     def step(self, measurement: Measurement, *, is_catch_up: bool = False) -> Outcome | None:
         """Consume a row of powers; None while nothing can be computed or the row does not feed the estimator."""
-        return self.steps([measurement], is_catch_up=is_catch_up)[0]
+        return self.rows([measurement], is_catch_up=is_catch_up)[0].outcome
 
-    def steps(self, measurements: Sequence[Measurement], *, is_catch_up: bool = False) -> list[Outcome | None]:
-        """Consume rows of powers with nothing between them; the outcomes are those of `step`, row by row."""
-        outcomes: list[Outcome | None] = []
+    def rows(self, measurements: Sequence[Measurement], *, is_catch_up: bool = False) -> list[ChainRow]:
+        """Consume rows of powers with nothing between them; what comes of each is the same as of `step`, row by row."""
+        rows: list[ChainRow] = []
         block: list[Measurement] = []
         newest_us = self._newest_us or 0
         for each in measurements:
@@ -164,14 +179,14 @@ class Chain:
             is_late = each.epoch_us <= newest_us or (each.is_late and not is_catch_up)
             is_next = each.feeds_estimator and self.is_running and not is_late
             if block and not (is_next and each.plan_id == block[0].plan_id):
-                outcomes += self._block(block, is_catch_up=is_catch_up)
+                rows += self._block(block, is_catch_up=is_catch_up)
                 block = []
             if is_next:
                 block.append(each)
                 newest_us = each.epoch_us
             else:
-                outcomes.append(self._apart(each, is_catch_up=is_catch_up))
-        return outcomes + self._block(block, is_catch_up=is_catch_up)
+                rows.append(ChainRow(each, self._apart(each, is_catch_up=is_catch_up)))
+        return rows + self._block(block, is_catch_up=is_catch_up)
 
     def _apart(self, measurement: Measurement, *, is_catch_up: bool) -> Outcome | None:
         """Return the outcome of a row that is late, feeds nothing, or comes while nothing runs."""
@@ -184,21 +199,23 @@ class Chain:
         by_method = self._rows([measurement], plan, is_late=True, is_catch_up=is_catch_up)
         return Outcome(tuple(each.row for rows in by_method for each in rows), None)
 
-    def _block(self, measurements: list[Measurement], *, is_catch_up: bool) -> list[Outcome | None]:
-        """Return the outcomes of rows in time of one plan."""
+    def _block(self, measurements: list[Measurement], *, is_catch_up: bool) -> list[ChainRow]:
+        """Return what comes of rows in time of one plan."""
         if not measurements:
             return []
         plan = self._lookup.plan(measurements[0].plan_id)
         by_method = self._rows(measurements, plan, is_late=False, is_catch_up=is_catch_up)
         carriers = [carrier_results(rows, measurements, plan) for rows in by_method]
-        outcomes: list[Outcome | None] = []
+        rows = []
         for number, measurement in enumerate(measurements):
             self._last = (measurement, True)
             self._remember_epoch(measurement.epoch_us)
-            found = [rows[number] for rows in by_method]
+            found = [each[number] for each in by_method]
             self._disagreement = compare(self._disagreement, [each.row for each in found], self._config.robust)
-            outcomes.append(self._with_command(found, tuple([each[number] for each in carriers])))
-        return outcomes
+            outcome = self._with_command(found, tuple([each[number] for each in carriers]))
+            evidence = next((each.command_evidence for each in found if each.command_evidence is not nothing), nothing)
+            rows.append(ChainRow(measurement, outcome, found[0].levels, evidence))
+        return rows
 
     def _rows(
         self, measurements: list[Measurement], plan: CarrierPlan, *, is_late: bool, is_catch_up: bool
@@ -260,22 +277,16 @@ class Chain:
         """Return how many rows the robust method has taken since the start, by whether they were ordinary."""
         return next((dict(each.rows_by_kind) for each in self._runners if isinstance(each, RobustRunner)), {})
 
-    def command_evidence(self) -> CommandEvidence | None:
-        """Return the evidence of the newest row in time on commands; None where no method has any."""
-        reported = (runner.command_evidence() for runner in self._runners)
-        return next((evidence for evidence in reported if evidence is not None), None)
-
-    def facts(self, measurement: Measurement, outcome: Outcome | None) -> RowEvidence:
-        """Return the evidence of the row that was stepped last, for alarms."""
-        running = next((runner for runner in self._runners if runner.is_running), None)
-        spacecraft = self._knowledge.spacecraft
+    def facts(self, row: ChainRow) -> RowEvidence:
+        """Return what alarms look at in a row, under what is known now."""
+        spacecraft, outcome = self._knowledge.spacecraft, row.outcome
         return RowEvidence(
-            measurement=measurement,
-            plan=self._lookup.plan(measurement.plan_id),
+            measurement=row.measurement,
+            plan=self._lookup.plan(row.measurement.plan_id),
             rows=() if outcome is None else outcome.rows,
             disagreement_deg=math.nan if outcome is None else outcome.disagreement_deg,
             method=Method.ROBUST if spacecraft is None else spacecraft.control.method,
-            levels=None if running is None else running.carrier_levels(),
+            levels=row.levels,
             operations=self._knowledge.operations,
         )
 

@@ -68,7 +68,7 @@ PIPELINE = (
     # flags of another plan are taken
     Mutant("_has_width", "(masks is None or len(masks) == width)", "True"),
     # a second row of one epoch moves the filter again
-    Mutant("Chain.steps", "each.epoch_us <= newest_us", "each.epoch_us < newest_us"),
+    Mutant("Chain.rows", "each.epoch_us <= newest_us", "each.epoch_us < newest_us"),
     Mutant(
         "_left_by_harmonic_db",
         'block.power_dbm[number, k] - levels["expected_dbm"][k]',

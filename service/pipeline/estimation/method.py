@@ -55,8 +55,8 @@ class CommandEvidence(NamedTuple):
     unreported_log_ratio: float | None
 
 
-def no_disturbance() -> None:
-    """Return what a method knows of torques that knows of none."""
+def nothing() -> None:
+    """Return what a method knows that knows nothing."""
 
 
 class MethodRow(NamedTuple):
@@ -66,7 +66,9 @@ class MethodRow(NamedTuple):
     #: figures of the carriers, None where nothing was computed; they are not copied
     levels: CarrierLevels | None = None
     #: returns the torque that acts without being fed forward, None where the method knows of none
-    disturbance: Callable[[], Disturbance | None] = no_disturbance
+    disturbance: Callable[[], Disturbance | None] = nothing
+    #: returns the evidence on commands, None where the method has none
+    command_evidence: Callable[[], CommandEvidence | None] = nothing
 
 
 class MethodRunner(Protocol):
@@ -115,12 +117,6 @@ class MethodRunner(Protocol):
 
     def carrier_states(self) -> dict[str, CarrierState]:
         """Return the state of each carrier of the calibration after the newest row."""
-
-    def carrier_levels(self) -> CarrierLevels | None:
-        """Return the figures of the newest row that was not late, None before it; they are not copied."""
-
-    def command_evidence(self) -> CommandEvidence | None:
-        """Return the evidence of the newest row in time on commands; None where the method has none."""
 
 
 class CarrierColumns(NamedTuple):
@@ -206,7 +202,7 @@ def carrier_results(
     results: list[CarrierResults | None] = []
     columns: CarrierColumns | None = None
     calibrated: tuple[str, ...] = ()
-    for (row, levels, _), measurement in zip(rows, measurements, strict=True):
+    for (row, levels, *_), measurement in zip(rows, measurements, strict=True):
         if levels is None:
             results.append(None)
             continue

@@ -17,7 +17,6 @@ from service.records.catalogue import CarrierPlan, Ephemeris
 from service.records.epoch import US_PER_S
 from service.records.inputs import (
     AlignmentSet,
-    AttitudeReference,
     CalibrationActivation,
     Correction,
     JournalEntry,
@@ -120,22 +119,18 @@ def consume(chain: Chain, entry: JournalEntry, archive: Archive, spacecraft_id: 
     """Feed one entry to the chain and yield what came of each row."""
     content = entry.content
     if isinstance(content, Measurement):
-        outcome = chain.step(content)
-        if outcome is not None:
-            yield outcome
+        yield from (outcome for _, outcome in consume_rows(chain, [content]))
         return
     chain.update(content)
     if isinstance(content, AlignmentSet) and chain.knowledge.alignment is not None:
         rows = iter(archive.measurements_after(spacecraft_id, chain.knowledge.alignment.epoch_us, entry.number))
         while block := list(islice(rows, BLOCK_ROWS)):
-            yield from (each for each in chain.steps(block, is_catch_up=True) if each is not None)
+            yield from (each.outcome for each in chain.rows(block, is_catch_up=True) if each.outcome is not None)
 
 
 def consume_rows(chain: Chain, rows: Sequence[Measurement]) -> Iterator[tuple[Measurement, Outcome]]:
     """Feed rows that follow one another in the journal to the chain, and yield each that something came of."""
-    for row, outcome in zip(rows, chain.steps(rows), strict=True):
-        if outcome is not None:
-            yield row, outcome
+    yield from ((each.measurement, each.outcome) for each in chain.rows(rows) if each.outcome is not None)
 
 
 def update_before(chain: Chain, archive: Archive, spacecraft_id: str, before_number: int, since_us: int | None) -> None:
@@ -209,16 +204,6 @@ class StepResults:
         """Remove the torque from rows that are later than a trip."""
         self.outcomes = [without_torque_after(trips, outcome) for outcome in self.outcomes]
         self.released = [one._replace(outcome=without_torque_after(trips, one.outcome)) for one in self.released]
-
-
-def seen_of(chain: Chain, entry: JournalEntry, outcomes: Sequence[Outcome]) -> tuple[Seen, ...]:
-    """Return the input of alarms in an entry; late rows, and rows that an alignment recomputed, are none."""
-    content = entry.content
-    if isinstance(content, AttitudeReference):
-        return (content,)
-    if not isinstance(content, Measurement) or content.is_late or not content.feeds_estimator:
-        return ()
-    return (chain.facts(content, outcomes[0] if outcomes else None),)
 
 
 def result_events(

@@ -162,7 +162,7 @@ class Centre:
 
     def decide(self, measurement: Measurement, truth: SpacecraftTruth) -> ControllerOutput:  # noqa: ARG002
         """Return what goes out after a row."""
-        outcome = self.chain.step(measurement)
+        ((_, outcome, _, evidence),) = self.chain.rows([measurement])
         self._now_us = measurement.epoch_us
         if outcome is None:
             return ControllerOutput(is_inhibited=True)
@@ -171,7 +171,7 @@ class Centre:
         inputs = interlock_inputs(context.facts, at.now_us, lease_holders=1, is_disagreeing=False)
         if inputs != context.state.interlock.inputs:
             context.release.handle(InputsChanged(at, inputs))
-        stored = StoredRow(outcome, self.chain.command_evidence())
+        stored = StoredRow(outcome, evidence())
         row = context.update(stored, context.spacecraft.control.method)
         if row is not None:
             handle_row(context, stored, row, at, may_send=True)

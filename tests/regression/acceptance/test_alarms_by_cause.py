@@ -85,7 +85,7 @@ def told(powers, *, restart_h=None):
         ratio_db = CLEAR_C_N_DB + row.power_dbm - plain_dbm[k] - rain_noise_db(powers.fade_db[k]) + bandwidth_db
         blank = np.full(len(ratio_db), np.nan)
         row = replace(row, details=CarrierDetails(blank, ratio_db.astype(np.float32), blank, blank))
-        changes += reader.read_row(chain.facts(row, chain.step(row)))
+        changes += reader.read_row(chain.facts(*chain.rows([row])))
     return [change for change in changes if change.is_told], engine
 
 

@@ -40,6 +40,7 @@ from service.core.estimation.filtering.command_watch import (
     forget_evidence,
     judge_commands,
     likelier_share,
+    missed_log_ratio,
     pass_commands,
     push_row,
 )
@@ -231,7 +232,11 @@ def write_state(model: FilterModel, state: FilterState, status: int, shares: int
     rates = rates_deg_h(mean, one["coupling_per_h"])
     for axis in range(3):
         found["attitude_deg"][axis], found["rates_deg_s"][axis] = mean[axis], rates[axis] / 3600.0
-    found["rain_db"], found["is_raining"] = mean[RAIN], watch["is_raining"]
+    found["rain_db"], found["is_raining"], found["missed_log_ratio"] = (
+        mean[RAIN],
+        watch["is_raining"],
+        missed_log_ratio(watch),
+    )
     first, hidden = FIRST_COMMON + len(model.common), hidden_states(model, len(mean))
     found["common_db"] = mean[CHAIN] + mean[FIRST_COMMON:first].sum()
     found["is_torque_shown"] = (watch["followed_minutes"] > 0.0).any()

@@ -91,6 +91,8 @@ RESULT = np.dtype(
         # as `write_wave` has it, zero without states
         ("is_torque_shown", "?"),
         ("torque_deg_h2", "f8", (4, 3)),
+        # logarithm of the likelihood of "no effect" or "reversed" over that of commands that are carried out
+        ("missed_log_ratio", "f8"),
     ],
     align=True,
 )

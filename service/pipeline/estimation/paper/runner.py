@@ -32,7 +32,7 @@ from service.core.estimation.paper.row import (
 from service.core.estimation.paper.snapshot import ABSENT, USED
 from service.core.geometry.line_of_sight import node_phase_at_rad
 from service.pipeline.config import ChainConfig
-from service.pipeline.estimation.method import CalibratedColumns, CarrierLevels, CommandEvidence, MethodRow
+from service.pipeline.estimation.method import CalibratedColumns, CarrierLevels, MethodRow
 from service.pipeline.estimation.paper.paper_model import PaperModel, paper_model
 from service.pipeline.estimation.row_inhibitions import RowContext, judge
 from service.pipeline.inputs.knowledge import Knowledge, Lookup
@@ -348,14 +348,6 @@ class PaperRunner:
             )
             for k, name in enumerate(model.carrier_ids)
         }
-
-    def carrier_levels(self) -> CarrierLevels | None:
-        """Return the figures of the newest row that was not late, None before it; they are not copied."""
-        return None if self._last is None else _carrier_levels(*self._last[1:])
-
-    def command_evidence(self) -> CommandEvidence | None:
-        """Return None: the method has no model of the noise."""
-        return None
 
     def _model_of(self, knowledge: Knowledge) -> tuple[PaperModel | None, CalibratedColumns | None]:
         """Return the model that holds and the order of its carriers."""

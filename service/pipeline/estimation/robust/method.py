@@ -182,6 +182,7 @@ def take_rows(
             last,
             found["hypothesis"][number],
             result.rows["torque_deg_h2"][number],
+            float(result.rows["missed_log_ratio"][number]),
             not result.rows["has_event"][number],
         )
         for number in range(count)

@@ -48,6 +48,8 @@ class RobustStep(NamedTuple):
     hypothesis: IntArray
     #: (4, 3) torque that is not fed forward, as in `RESULT`
     torque_deg_h2: FloatArray
+    #: as in `RESULT`
+    missed_log_ratio: float = 0.0
     #: whether nothing was found or declared
     is_ordinary: bool = True
 

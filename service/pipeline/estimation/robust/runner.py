@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 
 from service.core.estimation.filtering.anchor import HYPOTHESES
-from service.core.estimation.filtering.command_watch import missed_log_ratio, share_log_ratio
+from service.core.estimation.filtering.command_watch import share_log_ratio
 from service.core.estimation.filtering.filter_model import core_size
 from service.core.estimation.filtering.state_changes import SHARE_SIGMA, with_share, without_shares
 from service.pipeline.config import ChainConfig
-from service.pipeline.estimation.method import CalibratedColumns, CarrierLevels, CommandEvidence, MethodRow
+from service.pipeline.estimation.method import CalibratedColumns, CommandEvidence, MethodRow
 from service.pipeline.estimation.robust.attitude_rows import known_disturbance
 from service.pipeline.estimation.robust.method import (
     carried_state,
@@ -332,7 +332,7 @@ class RobustRunner:
         for each in found:
             self.rows_by_kind[each.is_ordinary] += 1
         self._applied(partial(_again, take))
-        return [MethodRow(each.row, carrier_levels(each, model), partial(_disturbance, each, model)) for each in found]
+        return [_method_row(each, model) for each in found]
 
     @property
     def is_waiting(self) -> bool:
@@ -372,28 +372,6 @@ class RobustRunner:
             )
             for k, name in enumerate(model.carrier_ids)
         }
-
-    def carrier_levels(self) -> CarrierLevels | None:
-        """Return the figures of the newest row that was not late, None before it; they are not copied."""
-        return None if self._last is None else carrier_levels(*self._last)
-
-    def command_evidence(self) -> CommandEvidence | None:
-        """Return the evidence of the newest row in time on commands, None before it."""
-        if self._last is None or self._state is None:
-            return None
-        outcome, model = self._last
-        gaussian, position = self._state.filter.gaussian, core_size(model.filter)
-        unreported = None
-        # under a torque that nobody states its step, as at the edge of a shadow, explains as much as a lost command
-        if self._state.released and not model.is_torque_unknown:
-            mean, variance = float(gaussian.mean[position]), float(gaussian.covariance[position, position])
-            unreported = share_log_ratio(mean, variance, SHARE_SIGMA)
-        return CommandEvidence(
-            model.filter,
-            np.where(model.is_used, outcome.deviation_db, np.nan),
-            missed_log_ratio(self._state.filter.watch[0]),
-            unreported,
-        )
 
     def _forget(self, before_us: int) -> None:
         """Let go of the oldest motions; torques come with every row, and an alignment may be months away."""
@@ -458,6 +436,23 @@ def _again(take: Callable[[RobustState], list[RobustStep]], state: RobustState) 
         return state
 
 
+def _method_row(found: RobustStep, model: RobustModel) -> MethodRow:
+    """Return a row in time as the chain takes it."""
+    given = found, model
+    return MethodRow(found.row, carrier_levels(*given), partial(_disturbance, *given), partial(_evidence, *given))
+
+
 def _disturbance(found: RobustStep, model: RobustModel) -> Disturbance | None:
     """Return the torque that acts at a row without being fed forward; None where the catalogue states none."""
     return known_disturbance(found.torque_deg_h2, model, found.row.epoch_us)
+
+
+def _evidence(found: RobustStep, model: RobustModel) -> CommandEvidence:
+    """Return the evidence of a row on commands; with unreported ones a row is a block of its own."""
+    state, unreported = found.state, None
+    # under a torque that nobody states its step, as at the edge of a shadow, explains as much as a lost command
+    if state.released and not model.is_torque_unknown:
+        position, (mean, covariance) = core_size(model.filter), state.filter.gaussian
+        unreported = share_log_ratio(float(mean[position]), float(covariance[position, position]), SHARE_SIGMA)
+    deviation_db = np.where(model.is_used, found.deviation_db, np.nan)
+    return CommandEvidence(model.filter, deviation_db, found.missed_log_ratio, unreported)

@@ -9,8 +9,8 @@ import pytest
 from alarm_rig import START
 from synthetic_payload import SC
 
-import service.runtime.live.supervisor as supervisor_module
 from service.errors import StorageError
+from service.pipeline.chain import Chain
 from service.pipeline.estimation.paper.runner import PaperRunner
 from service.records.operations.alarms import Severity
 from service.runtime.live import supervisor as step_failures
@@ -23,14 +23,14 @@ OTHER = "other-craft"
 @contextmanager
 def breaking(spacecraft_id, fault):
     """Let every step of a spacecraft end by an error."""
-    consume = supervisor_module.consume
+    plain = Chain.rows
 
-    def broken(chain, entry, archive, of):
-        if of == spacecraft_id:
+    def broken(chain, measurements, **options):
+        if chain.knowledge.spacecraft.id == spacecraft_id:
             raise fault
-        return consume(chain, entry, archive, of)
+        return plain(chain, measurements, **options)
 
-    with patch.object(supervisor_module, "consume", broken):
+    with patch.object(Chain, "rows", broken):
         yield
 
 
@@ -94,14 +94,14 @@ def _is_settled(ground, spacecraft_id):
 def test_rows_that_fail_are_told_until_one_is_computed(new_ground, wait):
     ground = new_ground()
     ground.align()
-    step = PaperRunner.step
+    plain = PaperRunner.steps
 
-    def breaking_rows(runner, measurement, *known, **options):
-        if ground.at(10) <= measurement.epoch_us < ground.at(13):
+    def breaking_rows(runner, measurements, *known, **options):
+        if any(ground.at(10) <= each.epoch_us < ground.at(13) for each in measurements):
             raise FloatingPointError("overflow")
-        return step(runner, measurement, *known, **options)
+        return plain(runner, measurements, *known, **options)
 
-    with patch.object(PaperRunner, "step", breaking_rows), ground.supervised() as supervisor:
+    with patch.object(PaperRunner, "steps", breaking_rows), ground.supervised() as supervisor:
         ground.append(range(1, 12))
         ground.settle(supervisor)
         assert supervisor.failures.lasting() == (), "two may be an accident"

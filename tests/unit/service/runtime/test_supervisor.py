@@ -168,14 +168,14 @@ def test_a_storage_that_fails_delays_rows_and_loses_none(new_ground, caplog, par
 
 
 def test_a_row_that_breaks_the_computation_says_so_and_the_stream_goes_on(ground, caplog):
-    step = PaperRunner.step
+    plain = PaperRunner.steps
 
-    def breaking(runner, measurement, *known, **options):
-        if measurement.epoch_us == ground.at(30):
+    def breaking(runner, measurements, *known, **options):
+        if any(each.epoch_us == ground.at(30) for each in measurements):
             raise FloatingPointError("overflow")
-        return step(runner, measurement, *known, **options)
+        return plain(runner, measurements, *known, **options)
 
-    with patch.object(PaperRunner, "step", breaking), ground.supervised() as supervisor:
+    with patch.object(PaperRunner, "steps", breaking), ground.supervised() as supervisor:
         ground.append(range(1, 41))
         ground.settle(supervisor)
     rows = {row.epoch_us: row for row in ground.rows()}
@@ -387,6 +387,7 @@ def test_spacecraft_that_wait_have_their_turns_by_blocks(tmp_path, monkeypatch):
         assert storage.archive.append_measurements(rows).result(timeout=120).accepted == 20
     # a block is one entry
     monkeypatch.setattr(live, "_BLOCK_S", 0.0)
+    monkeypatch.setattr(live, "_ROWS_AT_ONCE", 1)
     turns = []
 
     def submit_outcomes(name, *arguments):

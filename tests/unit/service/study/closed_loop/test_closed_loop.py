@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from service.pipeline.chain import ChainRow
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.release.interlock_conditions import ReleaseSettings
 from service.pipeline.estimation.method import CommandEvidence
@@ -85,11 +86,8 @@ class RecordedChain:
         self.knowledge = Knowledge(spacecraft, plan, ephemeris, alignment=SimpleNamespace(id=1))
         self.announced, self.outcome, self.evidence = [], None, None
 
-    def step(self, measurement):
-        return self.outcome
-
-    def command_evidence(self):
-        return self.evidence
+    def rows(self, measurements):
+        return [ChainRow(each, self.outcome, command_evidence=lambda: self.evidence) for each in measurements]
 
     def update(self, content):
         self.announced.append(content)
