@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from service.core.estimation.calibration import gathered_torque as fit
+from service.core.estimation.calibration.checks import responses
 from service.core.estimation.filtering.filter_model import FilterSettings
 from service.core.estimation.filtering.plant import TORQUES
 from service.pipeline.calibration.geometry_fit import JointFit, calibration_warnings, fit_rows, quality_metrics
@@ -75,7 +75,7 @@ def gathered_torque(
     if wheels is None or len(records) < _LEAST_RECORDS:
         return None
     epochs_us = np.array([one.epoch_us for one in records], dtype=np.int64)
-    found = fit.gathered_torque(
+    found = responses.gathered_torque(
         epochs_us,
         np.array([one.wheel_momentum_n_m_s for one in records]) @ np.array(spacecraft.wheels.axes),
         angles_at(epochs_us, data.quiet_references, data.sensors, config),
@@ -257,7 +257,7 @@ def geometry_record(data: CalibrationInput, rows: GeometryRows, joint: JointFit,
         covariance=tuple(_table(one) for one in fit.covariance),
         downlink_covariance=_table(fit.downlink_covariance),
         downlink_gain=tuple(_table(one) for one in fit.downlink_gain),
-        solar_day_db=_table(np.zeros((len(carriers), 2)) if fit.solar_db is None else fit.solar_db),
+        solar_day_db=_table(fit.solar_db),
         quantisation_db=_row(joint.quantisation_db),
         reference_walk_db=_row(joint.drift.walk_db),
         common_noise=_common_noise(joint),

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from service.core.estimation.calibration.calibration_bins import SmoothedAngles, smoothed_angles
 from service.core.estimation.calibration.geometry_calibration import CalibrationRows
 from service.core.estimation.calibration.geometry_columns import CarrierGeometry, OrbitMotion, is_known_orbit
-from service.core.estimation.calibration.sensor_smoothing import SmoothedAngles, smoothed_angles
 from service.core.estimation.paper.harmonic import evaluate_harmonic
 from service.core.geometry.frames import station_direction
 from service.core.geometry.line_of_sight import (

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from service.core.estimation.calibration.checks.sensor_axes import FreeResponse
-from service.core.estimation.noise_model import NoiseSplit, split_noise
+from service.core.estimation.noise import NoiseSplit, split_noise
 from service.core.estimation.observability import condition_number, crlb_deg, dilution_of_precision_deg_per_db
 from service.core.estimation.paper.harmonic import HarmonicFits, evaluate_harmonic, fit_harmonics
 from service.core.estimation.paper.selection import CarrierVerdicts, judge_carriers

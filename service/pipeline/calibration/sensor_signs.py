@@ -39,7 +39,7 @@ def report_signs(
     data: CalibrationInput,
     config: CalibrationConfig,
     positions: PlanPositions,
-    free: FreeResponse | None,
+    free: FreeResponse,
     is_used: BoolArray,
     yaw_reach_deg: float,
     *,
@@ -55,7 +55,7 @@ def report_signs(
         Limits.
     positions : PlanPositions
         Positions of the stations.
-    free : FreeResponse or None
+    free : FreeResponse
         Slopes of each carrier about each axis of the sensors.
     is_used : ndarray of bool, shape (N,)
         Carriers with a station, slopes and no level control.
@@ -72,7 +72,7 @@ def report_signs(
     transponders = [carrier.transponder for carrier in data.plan.carriers]
     beam = np.unique(transponders, return_inverse=True)[1]
     turned = _turned(data, config)
-    verdict = None if free is None else judge_axes(free, positions.geometry, beam, is_used, turned)
+    verdict = judge_axes(free, positions.geometry, beam, is_used, turned)
     if verdict is None:
         signs = SensorSigns(is_yaw_proven=False, is_common_proven=False)
         return SignReport(signs, {}, (_unproven("too few carriers have a station"),))

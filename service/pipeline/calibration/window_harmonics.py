@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.calibration.daily_fit import DailyFits, fit_daily
 from service.core.estimation.calibration.geometry_columns import OrbitMotion, daily_columns
+from service.core.estimation.calibration.joint_tukey import DailyFits, fit_daily
 from service.core.estimation.paper.harmonic import HarmonicFits, fit_harmonics
 from service.core.geometry.line_of_sight import (
     Positions,
