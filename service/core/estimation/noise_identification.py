@@ -71,6 +71,11 @@ class IdentifiedNoise(NamedTuple):
     common_db: FloatArray
 
     @property
+    def slow_db(self) -> FloatArray:
+        """Own correlated parts together, shape (N,)."""
+        return np.asarray(np.sqrt(np.square(self.sigma_db).sum(axis=1)))
+
+    @property
     def whole_db(self) -> FloatArray:
         """Own and common correlated parts together, shape (N, C)."""
         return np.asarray(np.hypot(self.sigma_db, self.common_db))

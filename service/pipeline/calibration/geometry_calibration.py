@@ -19,7 +19,13 @@ from service.core.estimation.calibration.checks import responses
 from service.core.estimation.filtering.filter_model import FilterSettings
 from service.core.estimation.filtering.plant import TORQUES
 from service.pipeline.calibration.geometry_fit import JointFit, calibration_warnings, fit_rows, quality_metrics
-from service.pipeline.calibration.geometry_rows import CalibrationError, CalibrationInput, GeometryRows, geometry_rows
+from service.pipeline.calibration.geometry_rows import (
+    CalibrationError,
+    CalibrationInput,
+    GeometryRows,
+    epochs_of,
+    geometry_rows,
+)
 from service.pipeline.calibration.paper_calibration import observe, paper_part
 from service.pipeline.calibration.sensor_signs import report_signs
 from service.pipeline.calibration.telemetry_checks import (
@@ -50,8 +56,7 @@ from service.records.calibration import (
     Row,
     Table,
 )
-from service.records.catalogue import Carrier, Spacecraft
-from service.records.inputs import TelemetryRecord
+from service.records.catalogue import Carrier
 from service.records.levels.attitude import BoolArray, FloatArray, named_axes
 
 #: sigmas from which what gathered is not the torque that the catalogue states
@@ -71,10 +76,10 @@ def gathered_torque(
     onboard = spacecraft.onboard
     unknown = None if onboard.momentum is None else replace(onboard.momentum, torque=None)
     wheels = momentum_model(replace(spacecraft, onboard=replace(onboard, momentum=unknown, fed_forward_torque=None)))
-    records = quiet_records(data, spacecraft)
+    records = data.momentum_records(data.request.quiet)
     if wheels is None or len(records) < _LEAST_RECORDS:
         return None
-    epochs_us = np.array([one.epoch_us for one in records], dtype=np.int64)
+    epochs_us = epochs_of(records)
     found = responses.gathered_torque(
         epochs_us,
         np.array([one.wheel_momentum_n_m_s for one in records]) @ np.array(spacecraft.wheels.axes),
@@ -104,7 +109,7 @@ def gathered_warnings(
     if spacecraft is None or wheels is None or is_left_out or spacecraft.onboard.fed_forward_torque is not None:
         return ()
     if gathered is None:
-        records = len(quiet_records(data, spacecraft))
+        records = len(data.momentum_records(data.request.quiet))
         reason = (
             f"{records} records of momentum within the quiet days, {_LEAST_RECORDS} are needed"
             if records < _LEAST_RECORDS
@@ -121,15 +126,6 @@ def gathered_warnings(
     return (
         f"the torque that gathered in the wheels differs from onboard.momentum.torque by {off:.2g} of {size:.2g} N m; "
         "the filter takes what gathered: correct the profile, its sign or its epoch",
-    )
-
-
-def quiet_records(data: CalibrationInput, spacecraft: Spacecraft) -> list[TelemetryRecord]:
-    """Return the records of the quiet days that tell the momentum of every wheel, in order of their epochs."""
-    quiet, wheels = data.request.quiet, len(spacecraft.wheels.axes)
-    within = (one for one in data.telemetry if quiet.start_us <= one.epoch_us < quiet.stop_us)
-    return sorted(
-        (one for one in within if len(one.wheel_momentum_n_m_s or ()) == wheels), key=lambda one: one.epoch_us
     )
 
 
@@ -182,7 +178,7 @@ def calibrate_geometry(data: CalibrationInput, config: CalibrationConfig) -> Cal
     report = report_signs(data, config, rows.positions, joint.fit.free, is_free, reach_deg, doubt=turns.reason)
     momentum, rates, angles = momentum_check(data, config), rate_check(data, config), polarimeter_checks(data, config)
     gathered = gathered_torque(data, momentum, rows.angles.sensor_sigma_deg, config)
-    sigma_db = np.hypot(white_db, np.sqrt(np.square(joint.noise.sigma_db).sum(axis=1)))
+    sigma_db = np.hypot(white_db, joint.noise.slow_db)
     record = geometry_record(data, rows, joint, is_used)
     error_db = daily_error_db(geometry_model(record, carriers), record, data.ephemeris, data.request.quiet.start_us)
     return CalibrationResult(

@@ -10,7 +10,13 @@ from service.core.estimation.calibration.geometry_calibration import GeometryCal
 from service.core.estimation.calibration.geometry_columns import BEAM_SIZE, QuadraticResponse, predict_deviation
 from service.core.estimation.noise import quantisation_step_db
 from service.core.estimation.noise_identification import IdentifiedNoise, LevelDrift, level_drift
-from service.pipeline.calibration.geometry_rows import DISTURBING, CalibrationInput, GeometryRows, unturned_sides
+from service.pipeline.calibration.geometry_rows import (
+    DISTURBING,
+    CalibrationInput,
+    GeometryRows,
+    median_present,
+    unturned_sides,
+)
 from service.pipeline.carrier_model.level_control import (
     MIN_GROUP,
     alc_groups,
@@ -98,7 +104,7 @@ def _turn_scatter(fit: GeometryCalibration, rows: GeometryRows) -> TurnScatter:
     left_db = fit.residual_db[turns].reshape(-1, _SCATTER_ROWS, fit.residual_db.shape[1])
     count = np.isfinite(left_db).sum(axis=1)
     mean_db = np.nansum(left_db, axis=1) / np.maximum(count, 1)
-    expected_db2 = fit.noise.white_db**2 / np.maximum(count, 1) + np.square(fit.noise.sigma_db).sum(axis=1)
+    expected_db2 = fit.noise.white_db**2 / np.maximum(count, 1) + fit.noise.slow_db**2
     ratio = np.where(count > 0, np.minimum(mean_db**2 / expected_db2, _GREATEST_SCATTER), np.nan)
     seen = np.isfinite(ratio).sum(axis=0)
     mean = np.where(seen > 0, np.nansum(ratio, axis=0) / np.maximum(seen, 1), np.nan)
@@ -138,35 +144,28 @@ def quality_metrics(rows: GeometryRows, joint: JointFit, is_used: BoolArray) -> 
     known = np.isfinite(rows.angles.attitude_deg).all(axis=1)
     turns = rows.angles.attitude_deg[known & ~rows.is_quiet]
     sight = rows.rows.motion.sight_deg if rows.rows.motion is not None else np.full((1, 1, 2), np.nan)
-    slow_db = np.sqrt(np.square(joint.noise.sigma_db).sum(axis=1))
     sigma = np.sqrt(np.diagonal(fit.covariance, axis1=1, axis2=2))
     slope_sigma = np.sqrt(np.diagonal(joint.response.covariance, axis1=1, axis2=2))[:, :3]
     figures = {
         "carriers_used": float(np.count_nonzero(is_used)),
         "tracked_share": float(rows.is_tracked.mean()),
         "motion_rms_deg": _rms(sight[np.isfinite(sight)]),
-        "joint_residual_rms_db": _median(fit.residual_rms_db[is_used]),
-        "level_sigma_db": _median(sigma[is_used, 0]),
-        "white_noise_db": _median(joint.noise.white_db[is_used]),
-        "slow_noise_db": _median(slow_db[is_used]),
+        "joint_residual_rms_db": median_present(fit.residual_rms_db[is_used]),
+        "level_sigma_db": median_present(sigma[is_used, 0]),
+        "white_noise_db": median_present(joint.noise.white_db[is_used]),
+        "slow_noise_db": median_present(joint.noise.slow_db[is_used]),
         "common_noise_db": float(np.sqrt(np.square(joint.noise.common_db).sum())),
-        "reference_walk_db_sqrt_h": _median(joint.drift.walk_db[is_used]),
-        "quantisation_db": _median(joint.quantisation_db[is_used]),
-        "turn_scatter": _median(joint.turn_scatter.mean[is_used]),
+        "reference_walk_db_sqrt_h": median_present(joint.drift.walk_db[is_used]),
+        "quantisation_db": median_present(joint.quantisation_db[is_used]),
+        "turn_scatter": median_present(joint.turn_scatter.mean[is_used]),
     }
     shrink = slope_shrink(rows)
     for axis, name in enumerate(_AXIS_NAMES):
         figures[f"{name}_turn_reach_deg"] = float(np.abs(turns[:, axis]).max(initial=0.0))
-        figures[f"{name}_slope_sigma_db_per_deg"] = _median(slope_sigma[is_used, axis])
+        figures[f"{name}_slope_sigma_db_per_deg"] = median_present(slope_sigma[is_used, axis])
         figures[f"{name}_sensor_sigma_deg"] = float(rows.angles.sensor_sigma_deg[axis])
         figures[f"{name}_slope_shrink"] = float(shrink[axis])
     return figures
-
-
-def _median(values: FloatArray) -> float:
-    """Return the median of the figures that are there, NaN when there are none."""
-    present = values[np.isfinite(values)]
-    return float(np.median(present)) if len(present) else float("nan")
 
 
 def _rms(values: FloatArray) -> float:
@@ -340,7 +339,7 @@ def _about_flat(
     turns = turns[np.isfinite(turns).all(axis=1)]
     answer = predict_deviation(turns, joint.response)
     moved_db = answer.std(axis=0) if len(turns) else np.full(len(names), np.nan)
-    noise_db = np.hypot(joint.noise.white_db, np.sqrt(np.square(joint.noise.sigma_db).sum(axis=1)))
+    noise_db = np.hypot(joint.noise.white_db, joint.noise.slow_db)
     for k in np.flatnonzero(is_asked):
         if moved_db[k] < config.flat_share * noise_db[k]:
             yield (

@@ -1,6 +1,7 @@
 """Windows of a calibration and their rows."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -75,6 +76,22 @@ class CalibrationInput:
         """White noise of a measurement over that of a row."""
         return math.sqrt(self.row_measurements)
 
+    def angles_deg(self, epochs_us: IntArray, config: CalibrationConfig) -> FloatArray:
+        """Return yaw, roll, pitch (T, 3) of the sensors at some epochs of both windows, deg."""
+        return angles_at(epochs_us, self.quiet_references + self.references, self.sensors, config)
+
+    def momentum_records(self, window: Window) -> list[TelemetryRecord]:
+        """Return the records of a window that tell the momentum of every wheel, in order of their epochs."""
+        wheels = 0 if self.spacecraft is None else len(self.spacecraft.wheels.axes)
+        within = (one for one in self.telemetry if window.start_us <= one.epoch_us < window.stop_us)
+        whole = (one for one in within if len(one.wheel_momentum_n_m_s or ()) == wheels)
+        return sorted(whole, key=lambda one: one.epoch_us)
+
+
+def epochs_of(records: Sequence[TelemetryRecord | PolarizationRecord]) -> IntArray:
+    """Return the epochs (K,) of records, microseconds UTC."""
+    return np.array([one.epoch_us for one in records], dtype=np.int64)
+
 
 @dataclass(frozen=True)
 class TurnRows:
@@ -145,6 +162,12 @@ def unturned_sides(angles_deg: FloatArray, config: CalibrationConfig) -> list[st
     ]
 
 
+def median_present(values: FloatArray) -> float:
+    """Return the median of the figures that are there, NaN when there are none."""
+    present = values[np.isfinite(values)]
+    return float(np.median(present)) if len(present) else float("nan")
+
+
 _DAY_US = 86_400 * US_PER_S
 #: kinds of operation during which powers say nothing certain; turns are what a calibration is made of
 DISTURBING = frozenset(
@@ -212,9 +235,7 @@ def geometry_rows(data: CalibrationInput, config: CalibrationConfig) -> Geometry
     if not len(epochs_us):
         message = "neither window holds a measurement; choose windows of the archive that have some"
         raise CalibrationError(message)
-    angles = smoothed_angles(
-        (epochs_us - epochs_us[0]) / US_PER_S, angles_at(epochs_us, _references(data), data.sensors, config)
-    )
+    angles = smoothed_angles((epochs_us - epochs_us[0]) / US_PER_S, data.angles_deg(epochs_us, config))
     _require_rows(data, angles.attitude_deg, is_turn, config)
     _require_turns(angles.attitude_deg[is_turn], config)
     positions = plan_positions(data.plan, data.spacecraft)
@@ -279,11 +300,6 @@ def joined_rows(data: CalibrationInput, *, is_around: bool = False) -> tuple[Int
     power_dbm = np.concatenate([one.power_dbm for one in parts])
     unique_us, first = np.unique(epochs_us, return_index=True)
     return unique_us, power_dbm[first].astype(np.float64)
-
-
-def _references(data: CalibrationInput) -> tuple[ReferenceSeries, ...]:
-    """Return the readings of each sensor over both windows."""
-    return data.quiet_references + data.references
 
 
 def inside(epochs_us: IntArray, window: Window) -> BoolArray:

@@ -18,17 +18,18 @@ from service.core.geometry.line_of_sight import latest_node_us
 from service.pipeline.calibration.geometry_rows import (
     CalibrationError,
     CalibrationInput,
+    median_present,
     phase_rad,
     plan_positions,
     turn_rows,
 )
 from service.pipeline.calibration.sensor_signs import report_signs
 from service.pipeline.calibration.turns_check import paper_turns, turns_quality, turns_warnings
+from service.pipeline.calibration.window_harmonics import fitted_harmonic
 from service.pipeline.config import CalibrationConfig, CriteriaConfig
 from service.records.calibration import (
     CalibrationResult,
     CarrierCalibration,
-    Harmonic,
     NoiseComponent,
     Observability,
 )
@@ -218,16 +219,7 @@ def _carrier(
     fits, noise = quiet.fits, quiet.noise[k]
     nodes_us = np.array(data.ephemeris.ascending_nodes_us, dtype=np.int64)
     node_us = int(latest_node_us(data.quiet.epochs_us[-1:], nodes_us, data.ephemeris.nodal_period_s)[0])
-    harmonic = Harmonic(
-        float(fits.amplitude_db[k]),
-        float(fits.phase_rad[k]),
-        float(fits.offset_dbm[k]),
-        data.ephemeris.nodal_period_s,
-        node_us,
-        float(fits.rms_db[k]),
-        int(fits.samples_used[k]),
-        int(fits.samples_rejected[k]),
-    )
+    harmonic = fitted_harmonic(fits, k, data.ephemeris.nodal_period_s, node_us)
     criteria = {"stable": verdicts.stable[k], "linear": verdicts.linear[k], "dominant": verdicts.dominant[k]}
     refused = () if is_usable else ("not usable for attitude: disabled, a beacon, or under uplink power control",)
     axis = int(verdicts.axis[k])
@@ -275,16 +267,10 @@ def _quality(
         "turn_rows": float(len(angles_deg)),
         "turn_reach_deg": float(np.abs(angles_deg).max()),
         "yaw_turn_reach_deg": float(np.abs(angles_deg[:, 0]).max()),
-        "median_residual_rms_db": _median_present(quiet.fits.rms_db),
-        "median_turn_residual_db": _median_present(sensitivity.residual_db),
+        "median_residual_rms_db": median_present(quiet.fits.rms_db),
+        "median_turn_residual_db": median_present(sensitivity.residual_db),
         "carriers_selected": float(np.count_nonzero(is_selected)),
     }
-
-
-def _median_present(values: FloatArray) -> float:
-    """Return the median of the figures that are there, NaN when there are none."""
-    present = values[np.isfinite(values)]
-    return float(np.median(present)) if len(present) else float("nan")
 
 
 def _warnings(
