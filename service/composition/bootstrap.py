@@ -28,7 +28,7 @@ from service.records.operations.alarms import Severity
 from service.records.operations.work import JobKind
 from service.records.storage import RetentionConfig, SealingConfig
 from service.runtime.alarms.alarm_service import AlarmService
-from service.runtime.alarms.notifications import NoticeChannel, NoticeChannels
+from service.runtime.alarms.notifications import NoticeChannel
 from service.runtime.clock import DataClock, SystemClock
 from service.runtime.control.release_context import ReleasePublisher
 from service.runtime.control.release_service import ReleaseService
@@ -184,7 +184,7 @@ def build_alarms(
         clock,
         feed,
         conditions,
-        NoticeChannels(channels),
+        channels,
         check_period_s=settings.alarms.check_period_s,
         stale_periods=settings.alarms.stale_periods,
         turn=turn,

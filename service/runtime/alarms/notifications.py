@@ -7,7 +7,7 @@ attempts is counted too; an alarm that nobody acts on is told again by itself.
 import logging
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -145,28 +145,6 @@ class NoticeChannel:
             else:
                 self.counts.sent += 1
                 return
-
-
-class NoticeChannels:
-    """All channels as one."""
-
-    def __init__(self, channels: Sequence[NoticeChannel] = ()) -> None:
-        self.channels = tuple(channels)
-
-    def start(self) -> None:
-        """Start every channel."""
-        for channel in self.channels:
-            channel.start()
-
-    def stop(self) -> None:
-        """Stop every channel."""
-        for channel in self.channels:
-            channel.stop()
-
-    def offer(self, change: AlarmChange) -> None:
-        """Offer a change to every channel."""
-        for channel in self.channels:
-            channel.offer(change)
 
 
 def notice_of(change: AlarmChange, conditions: Mapping[str, AlarmCondition]) -> dict[str, Any]:

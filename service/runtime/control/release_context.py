@@ -53,6 +53,7 @@ from service.records.levels.attitude import AttitudeRow, Axes, ReleasedCommand, 
 from service.records.operations.access import CURRENT_NOTE, DONE, AuditEvent, apart_from_request
 from service.records.operations.release import Command, InterlockHold, ReleaseChange
 from service.runtime.control.sign_check_rows import SignCheckRows
+from service.runtime.live.journal_consumer import every_input
 from service.runtime.live.live_feed import Cursor, FeedEvent, LiveFeed
 
 #: operations are looked for so far back: a burn of then without a new ephemeris still counts
@@ -144,14 +145,8 @@ def _newest_momenta(
 
 def read_telemetry(storage: Storage, spacecraft_id: str, from_us: int) -> tuple[TelemetryRecord, ...]:
     """Return telemetry since an instant, in order of epoch."""
-    window, after = Window(from_us, _EVERY_NUMBER), None
-    found: list[TelemetryRecord] = []
-    while True:
-        page = storage.archive.inputs(spacecraft_id, "telemetry", window, _AT_ONCE, after, is_compared=False)
-        found += [entry.content for entry in page if isinstance(entry.content, TelemetryRecord)]
-        if len(page) < _AT_ONCE:
-            return tuple(found)
-        after = (found[-1].epoch_us, page[-1].number)
+    entries = every_input(storage.archive, spacecraft_id, "telemetry", Window(from_us, _EVERY_NUMBER))
+    return tuple(entry.content for entry in entries if isinstance(entry.content, TelemetryRecord))
 
 
 def interlock_inputs(facts: KnownFacts, now_us: int, *, lease_holders: int, is_disagreeing: bool) -> InterlockInputs:

@@ -19,7 +19,6 @@ from service.pipeline.control.release.control_verdict import ControlView, contro
 from service.pipeline.control.release.events import OrderKind, Report, digest_of, state_of
 from service.pipeline.control.release.interlock import Instant
 from service.ports.storage import Catalogue
-from service.records.calibration import Window
 from service.records.catalogue import ControlMode, Release, Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.operations.release import Command, CommandRequest, ProductForm, UplinkProduct
@@ -129,22 +128,6 @@ class ReleaseService(ReleaseLoop):
         with self._present(spacecraft_id) as (context, at):
             context.release.handle(events.Tick(at))
             return context.release.command(counter)
-
-    def commands(
-        self,
-        spacecraft_id: str,
-        window: Window,
-        limit: int,
-        after: tuple[int, int] | None = None,
-        *,
-        newest_first: bool = False,
-    ) -> list[Command]:
-        """Return commands prepared in a window in order of (prepared, counter) beyond a cursor."""
-        return self.storage.releases.commands(spacecraft_id, window, limit, after, newest_first=newest_first)
-
-    def uplink(self, spacecraft_id: str, counter: int) -> UplinkProduct:
-        """Return the product of a released command; NotFoundError ``uplink.unknown``."""
-        return self.storage.releases.product(spacecraft_id, ProductForm.TORQUES, counter)
 
     def attitude_uplink(self, spacecraft_id: str) -> UplinkProduct:
         """Return the newest angles for a spacecraft in mode onboard."""

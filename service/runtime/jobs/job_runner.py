@@ -18,7 +18,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from multiprocessing import get_context, parent_process
-from typing import Any, Protocol
+from typing import Any
 
 from service.errors import InvalidInputError, SooError, UnavailableError
 from service.ports.storage import Clock, LeaseLoan, Storage, Term
@@ -91,11 +91,8 @@ class JobPieces:
         return None
 
 
-class Advance(Protocol):
-    """Does the next piece of a job, as `JobPieces.advance`."""
-
-    def __call__(self, job: Job, open_ids: frozenset[str], /) -> float | None:
-        """Return how far it is; None: it is done."""
+#: does the next piece of a job, as `JobPieces.advance`
+Advance = Callable[[Job, frozenset[str]], float | None]
 
 
 @dataclass(frozen=True, slots=True)

@@ -72,13 +72,8 @@ class LaggedRun:
             documents, config, methods=(Method.ROBUST,), has_commands=False, recorder=self._lagged.recorder
         )
 
-    def run(self) -> LaggedPart:
-        """Make the rows of the next instants, of six hours at most."""
-        (part,) = (each for each in self.steps() if each is not None)
-        return part
-
     def steps(self) -> Iterator[LaggedPart | None]:
-        """Make the rows as `run` does, and yield them at the end; None with each row of the journal before."""
+        """Make the rows of the next six hours at most, and yield them at the end; None with each row before."""
         after_us = self._order.after_us
         position = self._begun()
         if position is None:

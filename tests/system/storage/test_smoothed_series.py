@@ -45,7 +45,7 @@ def made_from(url):
         window = Window(at(-100), at(1000))
         stored = storage.results.attitude_rows(SC, SMOOTHED, Method.ROBUST_SMOOTHED, window, 10_000, None)
         order = LaggedOrder(grid_us(at(0) + GRID_US - 1), storage.archive.head(SC).consumed_number, LAG_MIN * MINUTE)
-        return stored, LaggedRun(storage, ChainConfig(), SC, order).run().rows
+        return stored, [*LaggedRun(storage, ChainConfig(), SC, order).steps()][-1].rows
     finally:
         storage.close()
 

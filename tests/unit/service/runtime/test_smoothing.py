@@ -23,7 +23,8 @@ LAG_US = 20 * MINUTE
 def part_of(station, after_us, until_number=None, lag_us=LAG_US, config=None):
     """Return what a run makes behind an instant, up to a journal number."""
     until = station.storage.archive.head(SC).consumed_number if until_number is None else until_number
-    return LaggedRun(station.storage, config or ChainConfig(), SC, LaggedOrder(after_us, until, lag_us)).run()
+    run = LaggedRun(station.storage, config or ChainConfig(), SC, LaggedOrder(after_us, until, lag_us))
+    return [*run.steps()][-1]
 
 
 @pytest.fixture
