@@ -10,7 +10,7 @@ import numpy as np
 from service.core.estimation.calibration.calibration_bins import SmoothedAngles, smoothed_angles
 from service.core.estimation.calibration.geometry_calibration import CalibrationRows
 from service.core.estimation.calibration.geometry_columns import CarrierGeometry, OrbitMotion, is_known_orbit
-from service.core.estimation.paper.harmonic import evaluate_harmonic
+from service.core.estimation.paper.harmonic import HarmonicFits, evaluate_harmonic
 from service.core.geometry.frames import station_direction
 from service.core.geometry.line_of_sight import (
     Positions,
@@ -111,15 +111,9 @@ def phase_rad(ephemeris: Ephemeris, epochs_us: IntArray) -> FloatArray:
 
 
 def turn_rows(
-    data: CalibrationInput,
-    offset_dbm: FloatArray,
-    amplitude_db: FloatArray,
-    harmonic_phase_rad: FloatArray,
-    config: CalibrationConfig,
-    *,
-    is_every_axis_needed: bool = True,
+    data: CalibrationInput, fits: HarmonicFits, config: CalibrationConfig, *, is_every_axis_needed: bool
 ) -> TurnRows:
-    """Return the rows of the turns that have a sensor reading nearby, level and harmonic removed.
+    """Return the rows of the turns that have a sensor reading nearby, level and harmonic of the quiet days removed.
 
     Raises
     ------
@@ -145,8 +139,8 @@ def turn_rows(
             "a sensitivity for each sign of each axis needs one"
         )
         raise CalibrationError(message)
-    harmonic = evaluate_harmonic(phase_rad(data.ephemeris, epochs_us), amplitude_db, harmonic_phase_rad)
-    deviation = data.turns.power_dbm - offset_dbm - harmonic
+    harmonic = evaluate_harmonic(phase_rad(data.ephemeris, epochs_us), fits.amplitude_db, fits.phase_rad)
+    deviation = data.turns.power_dbm - fits.offset_dbm - harmonic
     time_s = (epochs_us - epochs_us[0]) / US_PER_S
     return TurnRows(time_s[present], angles[present], deviation[present])
 

@@ -100,27 +100,18 @@ def paper_part(data: CalibrationInput, config: CalibrationConfig, *, is_every_ax
         As :func:`calibrate_paper`.
     """
     quiet = _fit_quiet(data, config)
-    fits = quiet.fits
-    rows = turn_rows(
-        data,
-        fits.offset_dbm,
-        fits.amplitude_db,
-        fits.phase_rad,
-        config,
-        is_every_axis_needed=is_every_axis_needed,
-    )
-    turn_angles_deg, turn_deviation_db = rows.angles_deg, rows.deviation_db
+    rows = turn_rows(data, quiet.fits, config, is_every_axis_needed=is_every_axis_needed)
     sensitivity = fit_turn_sensitivity(
-        turn_angles_deg,
-        turn_deviation_db,
+        rows.angles_deg,
+        rows.deviation_db,
         gate_sigma=config.harmonic.gate_sigma,
         baseline=level_knots(rows.time_s, config.level_knot_s),
     )
     criteria = config.criteria
     verdicts = judge_carriers(
         quiet.fits.rms_db,
-        turn_angles_deg,
-        turn_deviation_db,
+        rows.angles_deg,
+        rows.deviation_db,
         sensitivity.plus,
         sensitivity.minus,
         max_residual_rms_db=criteria.max_residual_rms_db,
@@ -138,7 +129,7 @@ def paper_part(data: CalibrationInput, config: CalibrationConfig, *, is_every_ax
     return CalibrationResult(
         carriers,
         observe(sensitivity.symmetric[is_selected], quiet.fits.rms_db[is_selected]),
-        _quality(quiet, turn_angles_deg, sensitivity, is_selected),
+        _quality(quiet, rows.angles_deg, sensitivity, is_selected),
         _warnings(data, quiet, is_selected, config),
     )
 

@@ -6,7 +6,7 @@ from typing import TypeVar
 from service.core.estimation.calibration.checks.turns import LONGEST_LAG_S
 from service.errors import ConflictError
 from service.pipeline.calibration.geometry_calibration import calibrate_geometry
-from service.pipeline.calibration.geometry_rows import CalibrationError, CalibrationInput
+from service.pipeline.calibration.geometry_rows import CalibrationInput
 from service.pipeline.calibration.minute_rows import mean_edges_us, minute_rows
 from service.pipeline.calibration.paper_calibration import calibrate_paper
 from service.pipeline.config import CalibrationConfig
@@ -21,7 +21,7 @@ from service.records.calibration import (
 from service.records.epoch import US_PER_S
 from service.records.inputs import Correction, Operation, PolarizationRecord, TelemetryRecord
 from service.records.operations.work import Job, JobKind
-from service.runtime.jobs.job_runner import JobAbortedError, new_job
+from service.runtime.jobs.job_runner import new_job
 from service.runtime.live.journal_consumer import every_input
 
 #: operations and corrections that a calibration looks at, at most of each
@@ -119,13 +119,10 @@ class CalibrationWork:
         if draft.state is not CalibrationState.DRAFT or draft.result is not None:
             # it was stored right before a process ended
             return
-        try:
-            data = self._read(spacecraft_id, draft)
-            yield 0.3
-            is_joint = draft.request.method is CalibrationMethod.GEOMETRY
-            result = (calibrate_geometry if is_joint else calibrate_paper)(data, self._config)
-        except CalibrationError as error:
-            raise JobAbortedError(str(error)) from error
+        data = self._read(spacecraft_id, draft)
+        yield 0.3
+        is_joint = draft.request.method is CalibrationMethod.GEOMETRY
+        result = (calibrate_geometry if is_joint else calibrate_paper)(data, self._config)
         results.finish_calibration(spacecraft_id, draft.id, result, None)
 
     def _read(self, spacecraft_id: str, draft: Calibration) -> CalibrationInput:

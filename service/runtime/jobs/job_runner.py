@@ -21,6 +21,7 @@ from multiprocessing import get_context, parent_process
 from typing import Any
 
 from service.errors import InvalidInputError, SooError, UnavailableError
+from service.pipeline.calibration.geometry_rows import CalibrationError
 from service.ports.storage import Clock, LeaseLoan, Storage, Term
 from service.records.operations.work import Job, JobKind, JobState
 from service.records.setting import CHOSEN, setting
@@ -39,10 +40,6 @@ _ATTEMPTS = 4
 _START_TIMEOUT_S = 300.0
 #: by so much the system's scheduler prefers the service
 _NICENESS = 10
-
-
-class JobAbortedError(Exception):
-    """The work cannot be done; the text gives the reason and the remedy."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -254,7 +251,7 @@ class JobRunner:
                 return
         if is_moving(error):
             self._let_go(job)
-        elif isinstance(error, JobAbortedError | SooError):
+        elif isinstance(error, CalibrationError | SooError):
             self._fail(job, str(error))
         else:
             _LOG.error("job %s failed by an internal error", job.id, exc_info=error)

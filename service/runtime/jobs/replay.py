@@ -28,7 +28,13 @@ from service.records.levels.measurement import Measurement
 from service.records.operations.work import Job, JobKind, Replay
 from service.records.storage import Checkpoint
 from service.runtime.jobs.job_runner import WorkerConfig, new_job
-from service.runtime.live.chain_restart import KNOWN_US, checkpoint_of, restored_checkpoint, state_of
+from service.runtime.live.chain_restart import (
+    KNOWN_US,
+    checkpoint_of,
+    numbered_alignments,
+    restored_checkpoint,
+    state_of,
+)
 from service.runtime.live.journal_consumer import (
     BLOCK_ROWS,
     DocumentCache,
@@ -360,9 +366,7 @@ class ReplayRun:
         return min(self._newest_number, last)
 
     def _alignments(self) -> list[tuple[int, int]]:
-        """Return journal number and epoch of every alignment."""
-        results = self._storage.results
-        return [(results.alignment_number(self._id, each.id), each.epoch_us) for each in results.alignments(self._id)]
+        return numbered_alignments(self._storage.results, self._id)
 
     def _beginnings(self, last: int) -> list[int]:
         """Return the journal numbers up to the last one behind which the chain can begin, in order.

@@ -16,6 +16,7 @@ from typing import NamedTuple
 from service.pipeline.chain import Chain
 from service.pipeline.checkpoints import ChainState, fingerprint, pack_state, unpack_state
 from service.pipeline.config import ChainConfig
+from service.ports.archive import Results
 from service.ports.storage import Storage
 from service.records.epoch import US_PER_S
 from service.records.inputs import AlignmentSet
@@ -161,6 +162,12 @@ def restored_checkpoint(
             chain.restore(state)
             return found
     return None
+
+
+def numbered_alignments(results: Results, spacecraft_id: str) -> list[tuple[int, int]]:
+    """Return journal number and epoch of every alignment of a spacecraft."""
+    alignments = results.alignments(spacecraft_id)
+    return [(results.alignment_number(spacecraft_id, each.id), each.epoch_us) for each in alignments]
 
 
 def state_of(spacecraft_id: str, found: Checkpoint) -> ChainState | None:

@@ -89,14 +89,18 @@ def angle_response(epochs_h: FloatArray, measured_deg: FloatArray, expected_deg:
     )
     span = max(float(np.ptp(mean_h)), _BLOCK_H)
     slow = np.vander((mean_h - mean_h.mean()) / span, _SLOW_DEGREE + 1)
-    design = np.column_stack([mean_expected, slow])
-    free = len(mean_h) - design.shape[1]
-    if free < _LEAST_FREE_OF_ANGLES or np.linalg.matrix_rank(design) < design.shape[1]:
-        return unknown
-    solved = np.linalg.lstsq(design, mean_measured, rcond=None)[0]
-    scatter = float(np.square(mean_measured - design @ solved).sum()) / free
-    sigma = math.sqrt(scatter * float(np.linalg.inv(design.T @ design)[0, 0]))
-    return AngleResponse(float(solved[0]), sigma)
+    solved, sigma = _regression(np.column_stack([mean_expected, slow]), mean_measured[:, None], _LEAST_FREE_OF_ANGLES)
+    return AngleResponse(float(solved[0, 0]), float(sigma[0, 0]))
+
+
+def _regression(design: FloatArray, values: FloatArray, least_free: int) -> tuple[FloatArray, FloatArray]:
+    """Return coefficients (U, M) of values (K, M) on a design (K, U), and their sigmas by the scatter; NaN without."""
+    free, size = len(values) - design.shape[1], (design.shape[1], values.shape[1])
+    if free < least_free or np.linalg.matrix_rank(design) < design.shape[1]:
+        return np.full(size, np.nan), np.full(size, np.nan)
+    solved = np.asarray(np.linalg.lstsq(design, values, rcond=None)[0])
+    scatter = np.square(values - design @ solved).sum(axis=0) / free
+    return solved, np.sqrt(np.outer(np.linalg.inv(design.T @ design).diagonal(), scatter))
 
 
 #: behind attitude, drift and rates
@@ -254,7 +258,8 @@ def momentum_response(
     momentum = reported_n_m_s[used]
     turned = _turned(momentum, np.radians(attitude_deg[used]), inertia_kg_m2)
     slow = _slow(epochs_s[used])
-    fits = np.array([_fit_momentum(turned[:, axis], momentum[:, axis], slow) for axis in range(3)])
+    axes = [(np.column_stack([turned[:, axis], slow]), momentum[:, axis, None]) for axis in range(3)]
+    fits = np.array([[part[0, 0] for part in _regression(*one, _LEAST_FREE_OF_MOMENTUM)] for one in axes])
     mean = momentum.mean(axis=0) if len(momentum) else np.full(3, np.nan)
     return MomentumResponse(fits[:, 0], fits[:, 1], mean, int(used.sum()), int(label.max(initial=-1)) + 1)
 
@@ -287,21 +292,6 @@ def _slow(epochs_s: FloatArray) -> FloatArray:
         return np.ones((len(epochs_s), 1))
     scaled = 2.0 * (epochs_s - epochs_s[0]) / span - 1.0
     return np.polynomial.legendre.legvander(scaled, _SLOW_DEGREE)
-
-
-def _fit_momentum(turned: FloatArray, momentum: FloatArray, slow: FloatArray) -> tuple[float, float]:
-    """Return the coefficient of one axis and its sigma by the scatter of the records."""
-    free = len(momentum) - slow.shape[1] - 1
-    if free < _LEAST_FREE_OF_MOMENTUM:
-        return float("nan"), float("nan")
-    basis = np.linalg.qr(slow)[0]
-    column, value = (part - basis @ (basis.T @ part) for part in (turned, momentum))
-    size = float(column @ column)
-    if size == 0.0:
-        return float("nan"), float("nan")
-    coefficient = float(column @ value) / size
-    left = value - coefficient * column
-    return coefficient, float(np.sqrt(left @ left / free / size))
 
 
 _ORBITAL_RATE_PER_H = 0.2625162
@@ -367,7 +357,10 @@ def rate_response(epochs_h: FloatArray, reported_deg_h: FloatArray, attitude_deg
     turned = np.diff(angles, axis=0) / span
     turned += _ORBITAL_RATE_PER_H * np.column_stack([roll, -yaw, np.zeros(len(yaw))])
     used = np.isfinite(turned).all(axis=1) & np.isfinite(mean).all(axis=1) & (span[:, 0] <= _APART_H)
-    return _fit_rates(mean[used], turned[used])
+    design = np.column_stack([mean[used], np.ones(used.sum())])
+    solved, sigma = _regression(design, turned[used], _LEAST_FREE_OF_RATES)
+    spans = int(used.sum()) if np.isfinite(sigma).all() else 0
+    return RateResponse(solved[:3].T, sigma[:3].T, solved[3], sigma[3], spans)
 
 
 def _edges(epochs_h: FloatArray) -> NDArray[np.int64]:
@@ -378,19 +371,6 @@ def _edges(epochs_h: FloatArray) -> NDArray[np.int64]:
         if not edges or epoch_h - epochs_h[edges[-1]] >= _SPAN_H - 3e-7:
             edges.append(number)
     return np.array(edges, dtype=np.int64)
-
-
-def _fit_rates(mean: FloatArray, turned: FloatArray) -> RateResponse:
-    """Return the response of the turned rates (k, 3) to the reported ones (k, 3)."""
-    design = np.column_stack([mean, np.ones(len(mean))])
-    free = len(mean) - design.shape[1]
-    if free < _LEAST_FREE_OF_RATES or np.linalg.matrix_rank(design) < design.shape[1]:
-        unknown = np.full((3, 3), np.nan)
-        return RateResponse(unknown, unknown, unknown[0], unknown[0], 0)
-    solved = np.asarray(np.linalg.lstsq(design, turned, rcond=None)[0], dtype=np.float64)
-    scatter = np.square(turned - design @ solved).sum(axis=0) / free
-    sigma: FloatArray = np.sqrt(np.outer(scatter, np.linalg.inv(design.T @ design).diagonal()))
-    return RateResponse(solved[:3].T, sigma[:, :3], solved[3], sigma[:, 3], len(mean))
 
 
 #: behind attitude, drift and rates stand the torques, then the wheels
