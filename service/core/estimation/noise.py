@@ -237,13 +237,10 @@ def fitted_variances(
     """
     variance = np.maximum(start_db2, _LEAST_DB2)
     for _ in range(_PASSES):
-        total = np.einsum("nc,ncf->nf", variance, spectra.expected)
-        weight = spectra.weight / total
-        reported = np.einsum("ncf,nf->nc", spectra.expected, weight * spectra.power / total)
-        owed = np.einsum("ncf,nf->nc", spectra.expected, weight)
-        reported = reported + prior_weight * prior_db2 / variance**2
-        owed = owed + prior_weight / variance
-        variance = np.maximum(variance * np.sqrt(reported / np.maximum(owed, 1e-300)), _LEAST_DB2)
+        measured, expected = _gradients(spectra, variance)
+        measured = measured + prior_weight * prior_db2 / variance**2
+        expected = expected + prior_weight / variance
+        variance = np.maximum(variance * np.sqrt(measured / np.maximum(expected, 1e-300)), _LEAST_DB2)
     return variance
 
 
@@ -268,23 +265,29 @@ def pooled_variances(spectra: Spectra, start_db2: FloatArray) -> tuple[FloatArra
     is_seen = spectra.weight.any(axis=1)
     shared = np.maximum(start_db2[is_seen, 1:].mean(axis=0), _LEAST_DB2) if is_seen.any() else start_db2[0, 1:]
     for _ in range(_PASSES):
-        total = _total(spectra, white, shared)
-        weight = spectra.weight / total
-        reported = np.einsum("ncf,nf->nc", spectra.expected, weight * spectra.power / total)
-        owed = np.maximum(np.einsum("ncf,nf->nc", spectra.expected, weight), 1e-300)
-        white = np.maximum(white * np.sqrt(reported[:, :1] / owed[:, :1]), _LEAST_DB2)
-        shared = np.maximum(shared * np.sqrt(reported[:, 1:].sum(axis=0) / owed[:, 1:].sum(axis=0)), _LEAST_DB2)
-    relative = spectra.expected / _total(spectra, white, shared)[:, np.newaxis]
+        measured, expected = _gradients(spectra, _with_white(white, shared))
+        expected = np.maximum(expected, 1e-300)
+        white = np.maximum(white * np.sqrt(measured[:, :1] / expected[:, :1]), _LEAST_DB2)
+        shared = np.maximum(shared * np.sqrt(measured[:, 1:].sum(axis=0) / expected[:, 1:].sum(axis=0)), _LEAST_DB2)
+    total = np.einsum("nc,ncf->nf", _with_white(white, shared), spectra.expected)
+    relative = spectra.expected / total[:, np.newaxis]
     information = np.einsum("nf,ncf,ndf->cd", spectra.weight, relative, relative)
     scale = np.sqrt(np.maximum(np.diagonal(information), 1e-300))
     inverse = np.linalg.pinv(information / np.outer(scale, scale), hermitian=True)
     return shared, (np.sqrt(np.maximum(np.diagonal(inverse), 0.0)) / scale)[1:]
 
 
-def _total(spectra: Spectra, white: FloatArray, shared: FloatArray) -> FloatArray:
-    """Return S (N, F) of own white noise (N, 1) and shared correlated parts (C,)."""
-    variance = np.concatenate([white, np.broadcast_to(shared, (len(white), len(shared)))], axis=1)
-    return np.asarray(np.einsum("nc,ncf->nf", variance, spectra.expected))
+def _gradients(spectra: Spectra, variance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return what periodograms and their expectations pull each variance (N, C + 1) up and down by."""
+    total = np.einsum("nc,ncf->nf", variance, spectra.expected)
+    weight = spectra.weight / total
+    measured = np.einsum("ncf,nf->nc", spectra.expected, weight * spectra.power / total)
+    return measured, np.einsum("ncf,nf->nc", spectra.expected, weight)
+
+
+def _with_white(white: FloatArray, shared: FloatArray) -> FloatArray:
+    """Return the variances (N, C + 1) of own white noise (N, 1) and shared correlated parts (C,)."""
+    return np.concatenate([white, np.broadcast_to(shared, (len(white), len(shared)))], axis=1)
 
 
 #: dB, resolution of the histogram; steps from five of it up to ``_LARGEST_DB`` are looked for.

@@ -27,12 +27,7 @@ from service.pipeline.calibration.sensor_signs import report_signs
 from service.pipeline.calibration.turns_check import paper_turns, turns_quality, turns_warnings
 from service.pipeline.calibration.window_harmonics import fitted_harmonic
 from service.pipeline.config import CalibrationConfig, CriteriaConfig
-from service.records.calibration import (
-    CalibrationResult,
-    CarrierCalibration,
-    NoiseComponent,
-    Observability,
-)
+from service.records.calibration import CalibrationResult, CarrierCalibration, NoiseComponent, Observability
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import Axes, BoolArray, FloatArray, named_axes
 

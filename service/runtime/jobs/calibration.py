@@ -11,13 +11,7 @@ from service.pipeline.calibration.minute_rows import mean_edges_us, minute_rows
 from service.pipeline.calibration.paper_calibration import calibrate_paper
 from service.pipeline.config import CalibrationConfig
 from service.ports.storage import Clock, Storage
-from service.records.calibration import (
-    Calibration,
-    CalibrationMethod,
-    CalibrationRequest,
-    CalibrationState,
-    Window,
-)
+from service.records.calibration import Calibration, CalibrationMethod, CalibrationRequest, CalibrationState, Window
 from service.records.epoch import US_PER_S
 from service.records.inputs import Correction, Operation, PolarizationRecord, TelemetryRecord
 from service.records.operations.work import Job, JobKind

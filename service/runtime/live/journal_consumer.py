@@ -15,17 +15,8 @@ from service.ports.archive import Archive, Outcome, Results
 from service.ports.storage import Catalogue
 from service.records.calibration import Window
 from service.records.epoch import US_PER_S
-from service.records.inputs import (
-    AlignmentSet,
-    AttitudeReference,
-    CalibrationActivation,
-    JournalEntry,
-)
-from service.records.levels.attitude import (
-    AttitudeRow,
-    CarrierResults,
-    TorqueCommand,
-)
+from service.records.inputs import AlignmentSet, AttitudeReference, CalibrationActivation, JournalEntry
+from service.records.levels.attitude import AttitudeRow, CarrierResults, TorqueCommand
 from service.records.levels.measurement import Measurement
 from service.records.operations.release import InterlockHold
 from service.runtime.live.live_feed import Cursor, FeedEvent, Seen

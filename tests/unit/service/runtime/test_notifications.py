@@ -19,8 +19,15 @@ from service.client.backoff import Backoff
 from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.config import AlarmConfig, RobustConfig
 from service.records.operations.alarms import AlarmChange, ChangeKind, Severity
-from service.runtime.alarms.delivery import Mail, MailRoute, Webhook
-from service.runtime.alarms.notifications import ATTEMPTS, DeliveryError, NoticeChannel, notice_of
+from service.runtime.alarms.notifications import (
+    ATTEMPTS,
+    DeliveryError,
+    Mail,
+    MailRoute,
+    NoticeChannel,
+    Webhook,
+    notice_of,
+)
 
 S = 1_000_000
 CONDITIONS = condition_table(AlarmConfig(), RobustConfig())

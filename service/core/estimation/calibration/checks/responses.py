@@ -27,11 +27,7 @@ from service.core.estimation.filtering.filter_model import (
 )
 from service.core.estimation.filtering.motion_sensor import SensorWatch
 from service.core.estimation.filtering.plant import POLARIMETER, TORQUES, WANDER, torque_covariance
-from service.core.estimation.filtering.polarimeter import (
-    AngleBlock,
-    polarimeter_covariance,
-    push_block,
-)
+from service.core.estimation.filtering.polarimeter import AngleBlock, polarimeter_covariance, push_block
 from service.core.estimation.filtering.wheel_momentum import (
     learned_positions,
     momentum_covariance,
