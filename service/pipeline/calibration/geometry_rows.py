@@ -14,13 +14,14 @@ from service.core.estimation.paper.harmonic import HarmonicFits, evaluate_harmon
 from service.core.geometry.frames import station_direction
 from service.core.geometry.line_of_sight import (
     Positions,
-    PredictedTrack,
     antenna_motion_deg,
+    latest_node_us,
     node_phase_rad,
     sight_motion_deg,
     track_position_deg,
 )
 from service.pipeline.config import CalibrationConfig
+from service.pipeline.inputs.polarization import predicted_track
 from service.pipeline.inputs.sensor_angles import angles_at
 from service.records.calibration import CalibrationRequest, Window
 from service.records.catalogue import CarrierPlan, Ephemeris, Spacecraft
@@ -108,6 +109,12 @@ class TurnRows:
 def phase_rad(ephemeris: Ephemeris, epochs_us: IntArray) -> FloatArray:
     """Return the node phase (T,) in rad."""
     return node_phase_rad(epochs_us, np.array(ephemeris.ascending_nodes_us, dtype=np.int64), ephemeris.nodal_period_s)
+
+
+def node_us(ephemeris: Ephemeris, epoch_us: int) -> int:
+    """Return the ascending node from which the phase of an epoch is counted."""
+    nodes_us = np.array(ephemeris.ascending_nodes_us, dtype=np.int64)
+    return int(latest_node_us(np.array([epoch_us]), nodes_us, ephemeris.nodal_period_s)[0])
 
 
 def turn_rows(
@@ -273,9 +280,7 @@ def orbit_motion(data: CalibrationInput, epochs_us: IntArray, positions: PlanPos
     reported, spacecraft = data.ephemeris.track, data.spacecraft
     if reported is None or spacecraft is None or len(reported.epochs_us) < 4:
         return None
-    track = PredictedTrack(
-        np.array(reported.epochs_us, dtype=np.int64), np.array(reported.latitude_deg), np.array(reported.longitude_deg)
-    )
+    track = predicted_track(reported)
     stations = Positions(*(values[:-1] for values in positions.stations))
     is_placeless = np.isnan(positions.geometry.azimuth_deg)
     sight = sight_motion_deg(track_position_deg(track, epochs_us), stations, spacecraft.longitude_deg)

@@ -14,11 +14,11 @@ from service.core.estimation.observability import condition_number, crlb_deg, di
 from service.core.estimation.paper.harmonic import HarmonicFits, evaluate_harmonic, fit_harmonics
 from service.core.estimation.paper.selection import CarrierVerdicts, judge_carriers
 from service.core.estimation.paper.sensitivity import TurnSensitivity, fit_turn_sensitivity, level_knots
-from service.core.geometry.line_of_sight import latest_node_us
 from service.pipeline.calibration.geometry_rows import (
     CalibrationError,
     CalibrationInput,
     median_present,
+    node_us,
     phase_rad,
     plan_positions,
     turn_rows,
@@ -202,10 +202,9 @@ def _carrier(
     is_selected: bool,
 ) -> CarrierCalibration:
     """Return the record of one carrier."""
-    fits, noise = quiet.fits, quiet.noise[k]
-    nodes_us = np.array(data.ephemeris.ascending_nodes_us, dtype=np.int64)
-    node_us = int(latest_node_us(data.quiet.epochs_us[-1:], nodes_us, data.ephemeris.nodal_period_s)[0])
-    harmonic = fitted_harmonic(fits, k, data.ephemeris.nodal_period_s, node_us)
+    noise = quiet.noise[k]
+    start_us = node_us(data.ephemeris, int(data.quiet.epochs_us[-1]))
+    harmonic = fitted_harmonic(quiet.fits, k, data.ephemeris.nodal_period_s, start_us)
     criteria = {"stable": verdicts.stable[k], "linear": verdicts.linear[k], "dominant": verdicts.dominant[k]}
     refused = () if is_usable else ("not usable for attitude: disabled, a beacon, or under uplink power control",)
     axis = int(verdicts.axis[k])

@@ -16,13 +16,12 @@ from service.core.estimation.calibration.joint_tukey import DailyFits, fit_daily
 from service.core.estimation.paper.harmonic import HarmonicFits, fit_harmonics
 from service.core.geometry.line_of_sight import (
     Positions,
-    PredictedTrack,
-    latest_node_us,
-    node_phase_rad,
     sight_motion_deg,
     track_position_deg,
 )
+from service.pipeline.calibration.geometry_rows import node_us, phase_rad
 from service.pipeline.config import CalibrationConfig
+from service.pipeline.inputs.polarization import predicted_track
 from service.records.calibration import Harmonic
 from service.records.catalogue import Carrier, Ephemeris
 from service.records.levels.attitude import FloatArray, IntArray
@@ -67,26 +66,26 @@ def paper_harmonics(
 ) -> tuple[CarrierHarmonic, ...]:
     """Return the published fit of every carrier; ``stop_us`` is the end of the window."""
     fits = fit_harmonics(
-        _phase_rad(series, ephemeris),
+        phase_rad(ephemeris, series.epochs_us),
         series.power_dbm,
         max_iterations=config.harmonic.max_iterations,
         gate_sigma=config.harmonic.gate_sigma,
     )
-    node_us = _node_us(series, ephemeris, stop_us)
+    start_us = node_us(ephemeris, int(series.epochs_us[-1]) if len(series.epochs_us) else stop_us - 1)
     return tuple(
-        _paper_carrier(name, fitted_harmonic(fits, k, ephemeris.nodal_period_s, node_us), fits, k)
+        _paper_carrier(name, fitted_harmonic(fits, k, ephemeris.nodal_period_s, start_us), fits, k)
         for k, name in enumerate(series.carrier_ids)
     )
 
 
-def fitted_harmonic(fits: HarmonicFits, k: int, period_s: float, node_us: int) -> Harmonic:
+def fitted_harmonic(fits: HarmonicFits, k: int, period_s: float, start_us: int) -> Harmonic:
     """Return the published harmonic of the k-th carrier as it is stored, its phase counted from a node."""
     return Harmonic(
         float(fits.amplitude_db[k]),
         float(fits.phase_rad[k]),
         float(fits.offset_dbm[k]),
         period_s,
-        node_us,
+        start_us,
         float(fits.rms_db[k]),
         int(fits.samples_used[k]),
         int(fits.samples_rejected[k]),
@@ -101,12 +100,12 @@ def robust_harmonics(
     longitude_deg: float,
 ) -> tuple[CarrierHarmonic, ...]:
     """Return the robust fit of every carrier; ``carriers`` are those of the series, in its order."""
-    phase_rad = _phase_rad(series, ephemeris)
-    waves = daily_columns(None, phase_rad, len(carriers))
+    phase = phase_rad(ephemeris, series.epochs_us)
+    waves = daily_columns(None, phase, len(carriers))
     sight = _sight_deg(series.epochs_us, ephemeris, carriers, longitude_deg)
     is_dish = np.isfinite(sight).all(axis=2).sum(axis=0) > _MIN_COVERED * len(sight)
-    dish = daily_columns(OrbitMotion(sight, sight), phase_rad, len(carriers))
-    node_us = _node_us(series, ephemeris, stop_us)
+    dish = daily_columns(OrbitMotion(sight, sight), phase, len(carriers))
+    start_us = node_us(ephemeris, int(series.epochs_us[-1]) if len(series.epochs_us) else stop_us - 1)
     reported: dict[int, CarrierHarmonic] = {}
     for columns, chosen in ((waves, np.flatnonzero(~is_dish)), (dish, np.flatnonzero(is_dish))):
         fits = fit_daily(columns[:, chosen], series.power_dbm[:, chosen].astype(np.float64))
@@ -114,40 +113,23 @@ def robust_harmonics(
             curve = _as_waves(fits, columns[:, k], waves[:, k], position)
             law = _dish_law(fits, position) if is_dish[k] else None
             name, period_s = carriers[k].id, ephemeris.nodal_period_s
-            reported[k] = _robust_carrier(name, curve, fits, law, position, period_s, node_us)
+            reported[k] = _robust_carrier(name, curve, fits, law, position, period_s, start_us)
     return tuple(reported[k] for k in range(len(carriers)))
-
-
-def _phase_rad(series: MeasurementSeries, ephemeris: Ephemeris) -> FloatArray:
-    """Return the node's phase (T,) of the rows."""
-    nodes_us = np.array(ephemeris.ascending_nodes_us, dtype=np.int64)
-    return node_phase_rad(series.epochs_us, nodes_us, ephemeris.nodal_period_s)
-
-
-def _node_us(series: MeasurementSeries, ephemeris: Ephemeris, stop_us: int) -> int:
-    """Return the ascending node from which the phase of the newest row is counted."""
-    last_us = series.epochs_us[-1:] if len(series.epochs_us) else np.array([stop_us - 1])
-    nodes_us = np.array(ephemeris.ascending_nodes_us, dtype=np.int64)
-    return int(latest_node_us(last_us, nodes_us, ephemeris.nodal_period_s)[0])
 
 
 def _sight_deg(
     epochs_us: IntArray, ephemeris: Ephemeris, carriers: Sequence[Carrier], longitude_deg: float
 ) -> FloatArray:
     """Return the satellite's motion in the sky of each carrier's station (T, N, 2); NaN where it is not known."""
-    reported = ephemeris.track
-    if reported is None:
+    if ephemeris.track is None:
         return np.full((len(epochs_us), len(carriers), 2), np.nan)
-    track = PredictedTrack(
-        np.array(reported.epochs_us, dtype=np.int64), np.array(reported.latitude_deg), np.array(reported.longitude_deg)
-    )
     placed = [
         (np.nan, np.nan) if carrier.station is None else (carrier.station.latitude_deg, carrier.station.longitude_deg)
         for carrier in carriers
     ]
     latitudes, longitudes = np.array(placed, dtype=np.float64).reshape(-1, 2).T
     positions = Positions(latitudes, longitudes, np.zeros(len(carriers)))
-    return sight_motion_deg(track_position_deg(track, epochs_us), positions, longitude_deg)
+    return sight_motion_deg(track_position_deg(predicted_track(ephemeris.track), epochs_us), positions, longitude_deg)
 
 
 def _as_waves(fits: DailyFits, columns: FloatArray, waves: FloatArray, k: int) -> tuple[FloatArray, FloatArray]:
@@ -177,7 +159,7 @@ def _robust_carrier(
     dish: DishLaw | None,
     k: int,
     period_s: float,
-    node_us: int,
+    start_us: int,
 ) -> CarrierHarmonic:
     """Return the k-th carrier's daily change as it is told."""
     (level, *wave), covariance = curve
@@ -186,7 +168,7 @@ def _robust_carrier(
     return CarrierHarmonic(
         name,
         "two_harmonics" if dish is None else "dish_law",
-        Harmonic(amplitude_db, phase_rad, float(level), period_s, node_us, *counts),
+        Harmonic(amplitude_db, phase_rad, float(level), period_s, start_us, *counts),
         *_sigmas(covariance[:3, :3], amplitude_db, phase_rad),
         *_polar(*wave[2:]),
         dish,

@@ -21,13 +21,13 @@ from service.core.estimation.calibration.geometry_columns import (
 from service.core.estimation.filtering.filter_model import CarrierModel
 from service.core.geometry.line_of_sight import (
     Positions,
-    PredictedTrack,
     antenna_motion_deg,
     node_phase_rad,
     sight_motion_deg,
     track_position_deg,
 )
 from service.pipeline.config import RobustConfig
+from service.pipeline.inputs.polarization import predicted_track
 from service.records.calibration import CarrierCalibration, GeometryFit, NoiseComponent
 from service.records.catalogue import Ephemeris
 from service.records.epoch import US_PER_S
@@ -160,10 +160,7 @@ def _motion(model: GeometryModel, fit: GeometryFit, ephemeris: Ephemeris, epochs
     """Return the motion of the satellite by the track at some epochs, None without a track."""
     if ephemeris.track is None:
         return None
-    reported = ephemeris.track
-    track = PredictedTrack(
-        np.array(reported.epochs_us, dtype=np.int64), np.array(reported.latitude_deg), np.array(reported.longitude_deg)
-    )
+    track = predicted_track(ephemeris.track)
     stations = Positions(*(values[:-1] for values in model.positions))
     sight = sight_motion_deg(track_position_deg(track, epochs_us), stations, fit.nominal_longitude_deg)
     return OrbitMotion(sight, antenna_motion_deg(track, epochs_us, model.positions, fit.nominal_longitude_deg))
