@@ -88,19 +88,6 @@ def level_columns(carriers: int, level: IntArray | None = None) -> FloatArray:
     return np.where(level[:, np.newaxis] == np.unique(level), 1.0, 0.0)
 
 
-def dilution_of_precision_deg_per_db(
-    sensitivity: FloatArray, *, with_common: bool = False, level: IntArray | None = None
-) -> FloatArray:
-    """Return deg of yaw, roll, pitch error for 1 dB of independent error on every carrier, shape (3,).
-
-    Examples
-    --------
-    >>> dilution_of_precision_deg_per_db(np.diag([0.25, 1.0, 2.0]))
-    array([4. , 1. , 0.5])
-    """
-    return crlb_deg(sensitivity, np.ones(len(sensitivity)), with_common, level=level)
-
-
 def angle_dilution_deg_per_db(sensitivity: FloatArray) -> float:
     """Return the angle DOP ``det((A' A)^-1)^(1/6)``: the dilution of the three angles together.
 
@@ -241,12 +228,13 @@ def judge_set(sensitivity: FloatArray, sigma_db: FloatArray, level: IntArray | N
     is_present = np.isfinite(sensitivity).all(axis=1) & np.isfinite(sigma_db) & (sigma_db > 0.0)
     present = np.where(is_present[:, np.newaxis], sensitivity, math.nan)
     shared = np.zeros(len(sensitivity), dtype=np.int64) if level is None else level
+    one_db = np.ones(len(sensitivity))
     checks = np.full((len(sensitivity), 5), math.nan)
     checks[is_present] = _mutual_checks(sensitivity[is_present], sigma_db[is_present], shared[is_present])
     return SetStatistics(
         condition=condition_number(present),
-        dop_deg_per_db=dilution_of_precision_deg_per_db(present),
-        dop_with_common_deg_per_db=dilution_of_precision_deg_per_db(present, with_common=True, level=shared),
+        dop_deg_per_db=crlb_deg(present, one_db, with_common=False),
+        dop_with_common_deg_per_db=crlb_deg(present, one_db, with_common=True, level=shared),
         angle_dop_deg_per_db=angle_dilution_deg_per_db(present),
         crlb_deg=crlb_deg(present, sigma_db, with_common=True, level=shared),
         crlb_without_common_deg=crlb_deg(present, sigma_db, with_common=False),

@@ -9,7 +9,7 @@ import numpy as np
 
 from service.core.estimation.calibration.calibration_bins import SmoothedAngles, smoothed_angles
 from service.core.estimation.calibration.geometry_calibration import CalibrationRows
-from service.core.estimation.calibration.geometry_columns import CarrierGeometry, OrbitMotion, is_known_orbit
+from service.core.estimation.calibration.geometry_columns import CarrierGeometry, OrbitMotion
 from service.core.estimation.paper.harmonic import HarmonicFits, evaluate_harmonic
 from service.core.geometry.frames import station_direction
 from service.core.geometry.line_of_sight import (
@@ -128,17 +128,9 @@ def turn_rows(
         Too few rows, too few of them with angles, or, where every axis is needed, one not turned to both sides.
     """
     epochs_us = data.turns.epochs_us
-    if len(epochs_us) < config.min_turn_rows:
-        message = f"the window of turns holds {len(epochs_us)} measurements, {config.min_turn_rows} are needed"
-        raise CalibrationError(message)
     angles = angles_at(epochs_us, data.references, data.sensors, config)
-    present = np.isfinite(angles).all(axis=1)
-    if int(np.count_nonzero(present)) < config.min_turn_rows:
-        message = (
-            f"only {np.count_nonzero(present)} rows of the turns have angles of {', '.join(sorted(set(data.sensors)))};"
-            f" {config.min_turn_rows} are needed: send the sensor's references or name another source"
-        )
-        raise CalibrationError(message)
+    present = np.asarray(np.isfinite(angles).all(axis=1))
+    _require_rows("window of turns", present, config.min_turn_rows, data.sensors)
     missing = unturned_sides(angles[present], config)
     if missing and is_every_axis_needed:
         message = (
@@ -237,7 +229,9 @@ def geometry_rows(data: CalibrationInput, config: CalibrationConfig) -> Geometry
         message = "neither window holds a measurement; choose windows of the archive that have some"
         raise CalibrationError(message)
     angles = smoothed_angles((epochs_us - epochs_us[0]) / US_PER_S, data.angles_deg(epochs_us, config))
-    _require_rows(data, angles.attitude_deg, is_turn, config)
+    has_angles = np.asarray(np.isfinite(angles.attitude_deg).all(axis=1))
+    _require_rows("quiet window", has_angles[~is_turn], config.min_quiet_rows, data.sensors)
+    _require_rows("window of turns", has_angles[is_turn], config.min_turn_rows, data.sensors)
     _require_turns(angles.attitude_deg[is_turn], config)
     positions = plan_positions(data.plan, data.spacecraft)
     motion = orbit_motion(data, epochs_us, positions)
@@ -250,9 +244,8 @@ def geometry_rows(data: CalibrationInput, config: CalibrationConfig) -> Geometry
         ~is_turn,
         float(epochs_us[0] % _DAY_US) / US_PER_S,
     )
-    is_tracked = np.zeros(len(epochs_us), dtype=np.bool_)
-    if motion is not None and is_known_orbit(motion):
-        is_tracked = np.asarray(np.isfinite(motion.sight_deg).all(axis=(1, 2)))
+    sight_deg = np.full((len(epochs_us), 1, 2), np.nan) if motion is None else motion.sight_deg
+    is_tracked = np.asarray(np.isfinite(sight_deg).all(axis=(1, 2)))
     return GeometryRows(epochs_us, rows, positions, angles, ~is_turn, is_tracked)
 
 
@@ -306,26 +299,18 @@ def inside(epochs_us: IntArray, window: Window) -> BoolArray:
     return np.asarray((epochs_us >= window.start_us) & (epochs_us < window.stop_us))
 
 
-def _require_rows(
-    data: CalibrationInput, attitude_deg: FloatArray, is_turn: BoolArray, config: CalibrationConfig
-) -> None:
-    """Refuse windows without enough rows that have angles."""
-    has_angles = np.isfinite(attitude_deg).all(axis=1)
-    for name, is_in, least in (
-        ("quiet window", ~is_turn, config.min_quiet_rows),
-        ("window of turns", is_turn, config.min_turn_rows),
-    ):
-        rows, known = int(np.count_nonzero(is_in)), int(np.count_nonzero(is_in & has_angles))
-        if rows < least:
-            message = f"the {name} holds {rows} measurements, {least} are needed"
-            raise CalibrationError(message)
-        if known < least:
-            sensors = ", ".join(sorted(set(data.sensors)))
-            message = (
-                f"only {known} rows of the {name} have angles of {sensors}; {least} are needed: "
-                "send the sensor's references or name another source"
-            )
-            raise CalibrationError(message)
+def _require_rows(name: str, has_angles: BoolArray, least: int, sensors: tuple[str, ...]) -> None:
+    """Refuse a window without enough rows (T,), or without enough that have angles."""
+    known = int(np.count_nonzero(has_angles))
+    if len(has_angles) < least:
+        message = f"the {name} holds {len(has_angles)} measurements, {least} are needed"
+        raise CalibrationError(message)
+    if known < least:
+        message = (
+            f"only {known} rows of the {name} have angles of {', '.join(sorted(set(sensors)))}; {least} are needed: "
+            "send the sensor's references or name another source"
+        )
+        raise CalibrationError(message)
 
 
 def _require_turns(attitude_deg: FloatArray, config: CalibrationConfig) -> None:

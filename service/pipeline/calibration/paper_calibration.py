@@ -10,7 +10,7 @@ import numpy as np
 
 from service.core.estimation.calibration.checks.sensor_axes import FreeResponse
 from service.core.estimation.noise import NoiseSplit, split_noise
-from service.core.estimation.observability import condition_number, crlb_deg, dilution_of_precision_deg_per_db
+from service.core.estimation.observability import condition_number, crlb_deg
 from service.core.estimation.paper.harmonic import HarmonicFits, evaluate_harmonic, fit_harmonics
 from service.core.estimation.paper.selection import CarrierVerdicts, judge_carriers
 from service.core.estimation.paper.sensitivity import TurnSensitivity, fit_turn_sensitivity, level_knots
@@ -151,7 +151,7 @@ def observe(sensitivity_db_per_deg: FloatArray, sigma_db: FloatArray) -> Observa
         return Observability(float("nan"), unseen, unseen)
     return Observability(
         float(condition_number(sensitivity_db_per_deg)),
-        named_axes(dilution_of_precision_deg_per_db(sensitivity_db_per_deg)),
+        named_axes(crlb_deg(sensitivity_db_per_deg, np.ones_like(sigma_db), with_common=False)),
         named_axes(crlb_deg(sensitivity_db_per_deg, sigma_db, with_common=True)),
     )
 

@@ -79,13 +79,17 @@ def axes_quality(name: str, check: AxesCheck | None) -> dict[str, float]:
 
 def momentum_warnings(check: AxesCheck | None) -> tuple[str, ...]:
     """Return the warnings of a check."""
+    return _warnings("the momentum of the wheels in telemetry", ("is", "was"), check, _NEXT)
+
+
+def _warnings(what: str, verbs: tuple[str, str], check: AxesCheck | None, next_step: str) -> tuple[str, ...]:
+    """Return the warning of a check, with what to do where an instrument is refused; verbs of now and of then."""
     if check is None or not check.reason:
         return ()
     if check.verdict is MotionVerdict.CONTRADICTED:
-        return (f"the momentum of the wheels in telemetry is refused: {check.reason}; {_NEXT}",)
-    if check.verdict is MotionVerdict.UNCHECKED:
-        return (f"the momentum of the wheels in telemetry was not checked: {check.reason}",)
-    return (f"the momentum of the wheels in telemetry was checked in part: {check.reason}",)
+        return (f"{what} {verbs[0]} refused: {check.reason}; {next_step}",)
+    is_unchecked = check.verdict is MotionVerdict.UNCHECKED
+    return (f"{what} {verbs[1]} {'not checked' if is_unchecked else 'checked in part'}: {check.reason}",)
 
 
 def _too_few(of_what: str, records: int) -> str:
@@ -202,11 +206,7 @@ def rate_warnings(data: CalibrationInput, check: AxesCheck | None) -> tuple[str,
     """Return the warnings of a check."""
     if is_rate_in_loop(data.spacecraft):
         return (IN_LOOP,)
-    if check is None or not check.reason:
-        return ()
-    if check.verdict is MotionVerdict.CONTRADICTED:
-        return (f"the rates of the body in telemetry are refused: {check.reason}; {_RATES_NEXT}",)
-    return (f"the rates of the body in telemetry were not checked: {check.reason}",)
+    return _warnings("the rates of the body in telemetry", ("are", "were"), check, _RATES_NEXT)
 
 
 def _judged_rates(response: RateResponse, bias_deg_h: float) -> AxesCheck:
