@@ -52,7 +52,6 @@ from service.records.calibration import (
     GeometryFit,
     MotionVerdict,
     NoiseComponent,
-    PolarimeterCheck,
     Row,
     Table,
 )
@@ -168,14 +167,12 @@ def calibrate_geometry(data: CalibrationInput, config: CalibrationConfig) -> Cal
     if np.count_nonzero(is_user_carrier) < MIN_CARRIERS:
         raise CalibrationError(_too_few(data, refusals, int(np.count_nonzero(is_user_carrier))))
     paper = paper_part(data, config, is_every_axis_needed=False)
-    slope = joint.response.slope
     white_db = joint.noise.white_db * data.white_scale
     carriers = tuple(_carrier(one, k, joint, float(white_db[k]), refusals[k]) for k, one in enumerate(paper.carriers))
     quality = quality_metrics(rows, joint, is_used)
-    is_free = is_user_carrier & (joint.group < 0)
     turns = turns_check(data, rows, joint, is_user_carrier, config)
-    reach_deg = quality["yaw_turn_reach_deg"]
-    report = report_signs(data, config, rows.positions, joint.fit.free, is_free, reach_deg, doubt=turns.reason)
+    judged = rows.positions, joint.fit.free, is_user_carrier & (joint.group < 0), quality["yaw_turn_reach_deg"]
+    report = report_signs(data, config, *judged, doubt=turns.reason)
     momentum, rates, angles = momentum_check(data, config), rate_check(data, config), polarimeter_checks(data, config)
     gathered = gathered_torque(data, momentum, rows.angles.sensor_sigma_deg, config)
     sigma_db = np.hypot(white_db, joint.noise.slow_db)
@@ -183,13 +180,16 @@ def calibrate_geometry(data: CalibrationInput, config: CalibrationConfig) -> Cal
     error_db = daily_error_db(geometry_model(record, carriers), record, data.ephemeris, data.request.quiet.start_us)
     return CalibrationResult(
         carriers,
-        observe(slope[is_user_carrier], sigma_db[is_user_carrier]),
+        observe(joint.response.slope[is_user_carrier], sigma_db[is_user_carrier]),
         {
             **paper.quality,
             **quality,
             **turns_quality(turns),
             **report.quality,
-            **_motion_quality(momentum, rates, angles, gathered),
+            **axes_quality("momentum", momentum),
+            **axes_quality("rate", rates),
+            **polarimeter_quality(angles),
+            **gathered_quality(gathered),
         },
         (
             *turns_warnings(turns),
@@ -199,7 +199,8 @@ def calibrate_geometry(data: CalibrationInput, config: CalibrationConfig) -> Cal
             *gathered_warnings(data, momentum, gathered),
             *rate_warnings(data, rates),
             *polarimeter_warnings(angles),
-            *_of_paper(paper.warnings),
+            # the joint fit says the others itself
+            *(f"paper method: {text}" for text in paper.warnings if "carriers are stable and linear" in text),
         ),
         replace(record, daily_error_db=_row(error_db)),
         report.signs,
@@ -209,17 +210,6 @@ def calibrate_geometry(data: CalibrationInput, config: CalibrationConfig) -> Cal
         gathered,
         turns,
     )
-
-
-def _motion_quality(
-    momentum: AxesCheck | None,
-    rates: AxesCheck | None,
-    angles: tuple[PolarimeterCheck, ...],
-    gathered: GatheredTorque | None,
-) -> dict[str, float]:
-    """Return the figures of measured motion, by name."""
-    checks = {**axes_quality("momentum", momentum), **axes_quality("rate", rates), **polarimeter_quality(angles)}
-    return {**checks, **gathered_quality(gathered)}
 
 
 def geometry_record(data: CalibrationInput, rows: GeometryRows, joint: JointFit, is_used: BoolArray) -> GeometryFit:
@@ -288,25 +278,21 @@ def _rain_share(band: str, carriers: tuple[Carrier, ...]) -> float:
 
 def _refusals(data: CalibrationInput, rows: GeometryRows, joint: JointFit) -> tuple[str | None, ...]:
     """Return for each carrier why the robust method must not use it, None if it may."""
-    is_unseen = np.isnan(joint.fit.level_dbm)
-    is_hidden = np.isnan(rows.positions.geometry.azimuth_deg) & ~rows.positions.is_beacon
-    is_lonely = small_groups(joint.group)
-    return tuple(
-        _refusal(carrier, is_unseen=bool(is_unseen[k]), is_hidden=bool(is_hidden[k]), is_lonely=bool(is_lonely[k]))
-        for k, carrier in enumerate(data.plan.carriers)
-    )
-
-
-def _refusal(carrier: Carrier, *, is_unseen: bool, is_hidden: bool, is_lonely: bool) -> str | None:
-    """Return why the robust method must not use a carrier, None if it may."""
+    carriers, lonely = data.plan.carriers, "its transponder is under level control and has fewer than"
     reasons = (
-        (not carrier.enabled, "disabled in the plan"),
-        (carrier.uplink_power_control == "auto", "uplink power control hides the effect of the attitude"),
-        (is_hidden, "its station does not see the satellite: check its coordinates"),
-        (is_lonely, f"its transponder is under level control and has fewer than {MIN_GROUP} carriers in the plan"),
-        (is_unseen, "seen in too few stretches of the windows"),
+        ([not each.enabled for each in carriers], "disabled in the plan"),
+        (
+            [each.uplink_power_control == "auto" for each in carriers],
+            "uplink power control hides the effect of the attitude",
+        ),
+        (
+            np.isnan(rows.positions.geometry.azimuth_deg) & ~rows.positions.is_beacon,
+            "its station does not see the satellite: check its coordinates",
+        ),
+        (small_groups(joint.group), f"{lonely} {MIN_GROUP} carriers in the plan"),
+        (np.isnan(joint.fit.level_dbm), "seen in too few stretches of the windows"),
     )
-    return next((text for applies, text in reasons if applies), None)
+    return tuple(next((text for applies, text in reasons if applies[k]), None) for k in range(len(carriers)))
 
 
 def _too_few(data: CalibrationInput, refusals: tuple[str | None, ...], usable: int) -> str:
@@ -315,11 +301,6 @@ def _too_few(data: CalibrationInput, refusals: tuple[str | None, ...], usable: i
     shown = "; ".join(reasons[:5]) + (f"; and {len(reasons) - 5} more" if len(reasons) > 5 else "")
     text = f"only {usable} carriers can be used, {MIN_CARRIERS} are needed for three angles and the common level"
     return f"{text} ({shown})" if shown else text
-
-
-def _of_paper(warnings: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the warnings of the paper part that say something which the joint fit does not."""
-    return tuple(f"paper method: {text}" for text in warnings if "carriers are stable and linear" in text)
 
 
 def _carrier(

@@ -415,7 +415,7 @@ def gathered_torque(
     if wheels is None:
         message = "a torque that gathers needs settings with the momentum of wheels"
         raise ValueError(message)
-    gaussian, watch = _beginning(settings), SensorWatch()
+    gaussian, watch = _beginning(settings, momentum_covariance(settings, wheels)), SensorWatch()
     known = np.isfinite(attitude_deg).all(axis=1) & np.isfinite(reported_n_m_s).all(axis=1)
     newest_us = int(epochs_us[known][0]) if known.any() else 0
     for k in np.flatnonzero(known).tolist():
@@ -439,10 +439,8 @@ def gathered_torque(
     return GatheredFit(gaussian.mean[own], gaussian.covariance[np.ix_(own, own)], int(known.sum()))
 
 
-def _beginning(settings: FilterSettings) -> Gaussian:
-    """Return the state before the first record."""
-    wheels = settings.momentum
-    sensor = np.zeros((0, 0)) if wheels is None else momentum_covariance(settings, wheels)
+def _beginning(settings: FilterSettings, sensor: FloatArray) -> Gaussian:
+    """Return the state before the first record, by the covariance of the telemetry's errors."""
     covariance = np.zeros((_FIRST_WHEEL + len(sensor),) * 2)
     covariance[RATE.stop : _FIRST_WHEEL, RATE.stop : _FIRST_WHEEL] = torque_covariance(settings)
     covariance[_FIRST_WHEEL:, _FIRST_WHEEL:] = sensor
