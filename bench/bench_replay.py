@@ -111,7 +111,8 @@ def _replay(storage: SqlStorage, config: ChainConfig, rows: int) -> tuple[float,
 
     with patch.object(Chain, "rows", timed):
         began_s = time.process_time()
-        ReplayRun(storage, config, SC, replay.version).run()
+        for _ in ReplayRun(storage, config, SC, replay.version).pieces():
+            pass
         taken_s = time.process_time() - began_s
     stored = storage.results.replay(SC, replay.version)
     assert (stored.attitude_rows, stored.torque_rows) == (rows, 0)

@@ -28,7 +28,7 @@ from service.records.operations.alarms import Severity
 from service.records.operations.work import JobKind
 from service.records.storage import RetentionConfig, SealingConfig
 from service.runtime.alarms.alarm_service import AlarmService
-from service.runtime.alarms.notifications import NoticeChannel, NoticeChannels
+from service.runtime.alarms.notifications import Mail, MailRoute, NoticeChannel, Webhook
 from service.runtime.clock import DataClock, SystemClock
 from service.runtime.control.release_context import ReleasePublisher
 from service.runtime.control.release_service import ReleaseService
@@ -161,14 +161,9 @@ def build_alarms(
     channels = []
     url = _secret(settings.alarm_webhook_url)
     if url:
-        # brings httpx along
-        from service.runtime.alarms.delivery import Webhook
-
         webhook = Webhook(url, _secret(settings.alarm_webhook_secret), clock.system_us)
         channels.append(NoticeChannel("webhook", webhook.deliver, conditions, from_severity))
     if settings.alarm_mail_host and settings.alarm_mail_to:
-        from service.runtime.alarms.delivery import Mail, MailRoute
-
         route = MailRoute(
             host=settings.alarm_mail_host,
             port=settings.alarm_mail_port,
@@ -184,7 +179,7 @@ def build_alarms(
         clock,
         feed,
         conditions,
-        NoticeChannels(channels),
+        channels,
         check_period_s=settings.alarms.check_period_s,
         stale_periods=settings.alarms.stale_periods,
         turn=turn,

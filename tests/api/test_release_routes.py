@@ -29,11 +29,13 @@ PREPARE = {"reason": "roll is off"}
 
 
 @pytest.fixture
-async def service(soo, spacecraft) -> ScriptedReleaseService:
+async def service(soo, spacecraft, monkeypatch) -> ScriptedReleaseService:
     """The service of the service under test, and a spacecraft."""
     assert (await soo.client.post("/api/v1/spacecraft", json=spacecraft)).status_code == 201
     scripted = ScriptedReleaseService()
     object.__setattr__(soo.app.state.context, "release_service", scripted)
+    for name in ("commands", "product"):
+        monkeypatch.setattr(soo.storage.releases, name, getattr(scripted, name))
     return scripted
 
 

@@ -137,7 +137,7 @@ def context_of(driver):
             is_catching_up=lambda _: False,
             newest_results=lambda *_: None,
         ),
-        alarms=SimpleNamespace(notices=SimpleNamespace(channels=())),
+        alarms=SimpleNamespace(channels=()),
     )
 
 

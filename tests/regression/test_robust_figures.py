@@ -176,7 +176,7 @@ def test_steps_up_to_the_breakdown_of_other_sizes(true_model, carriers, wrong, p
     errors, oracles = [], []
     for seed in range(plans):
         stations = np.random.default_rng(seed).normal(0.0, [0.16, 1.4, 1.2], (40, 3))
-        chosen = choose_carriers(stations, np.full(40, 0.1), np.arange(40), carriers).chosen
+        chosen = choose_carriers(stations, np.full(40, 0.1), np.arange(40), carriers)
         model = exact_response(stations[chosen], bend)
         rng, attitude, values = noisy(model, 500, seed=seed)
         is_wrong = np.argsort(rng.random(values.shape), axis=1) < wrong

@@ -51,6 +51,7 @@ from service.ports.archive import LIVE, SMOOTHED
 from service.records.calibration import Window
 from service.records.catalogue import Method
 from service.records.levels.attitude import AttitudeRow
+from service.records.operations.release import ProductForm
 from service.runtime.control.release_service import AutomaticRelease
 
 attitude_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/attitude", tags=["attitude"])
@@ -263,7 +264,7 @@ def prepare_torques(
 def list_commands(spacecraft_id: SpacecraftId, page: Page, context: Context) -> CommandPage:
     """List commands that were prepared in the range, in order of their preparation."""
     context.storage.catalogue.spacecraft(spacecraft_id)
-    read = context.release_service.commands
+    read = context.storage.releases.commands
     found = read(spacecraft_id, page.window, page.most, page.after, newest_first=page.newest_first)
     return page.answer(CommandPage, found, attrgetter("prepared_us", "counter"), CommandAnswer.of)
 
@@ -278,7 +279,7 @@ def get_command(spacecraft_id: SpacecraftId, command_id: CommandId, context: Con
 @torque_commands_router.get("/torques/{command_id}/uplink")
 def get_uplink(spacecraft_id: SpacecraftId, command_id: CommandId, context: Context) -> UplinkAnswer:
     """Return what goes up of a released command."""
-    return UplinkAnswer.of(context.release_service.uplink(spacecraft_id, command_id))
+    return UplinkAnswer.of(context.storage.releases.product(spacecraft_id, ProductForm.TORQUES, command_id))
 
 
 @torque_commands_router.get("/attitude/uplink")

@@ -332,7 +332,7 @@ class PresentRecords:
 
 
 def _commands(context: ApiContext, spacecraft_id: str) -> Records:
-    found = context.release_service.commands(spacecraft_id, EVERYTHING, _NEWEST, newest_first=True)
+    found = context.storage.releases.commands(spacecraft_id, EVERYTHING, _NEWEST, None, newest_first=True)
     return {command.counter: _record(CommandAnswer.of(command)) for command in found}
 
 

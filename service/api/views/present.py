@@ -529,5 +529,5 @@ def _notices(context: ApiContext) -> list[HandoverNoticesAnswer]:
     """Return the counts of notices by channel."""
     return [
         HandoverNoticesAnswer.of(channel.counts, channel=channel.name, waiting=channel.waiting)
-        for channel in context.alarms.notices.channels
+        for channel in context.alarms.channels
     ]

@@ -32,8 +32,8 @@ _ROW_H = 1.0 / 60.0
 _ANGLES, _DRIFT, _CHAIN, _FIRST = slice(0, 3), slice(3, 6), 6, 7
 #: Hx, Hz, bx, bz, and constant, cosine and sine of Tx and Tz
 _MOMENTUM = 10
-#: offset, daily cosine and sine, wander; the offset before the first angle, deg
-_POLARIMETER, _FREE_OFFSET_DEG = 4, 3.0
+#: offset of a polarimeter before the first angle, deg
+_FREE_OFFSET_DEG = 3.0
 
 
 class DriftStatistics(NamedTuple):
@@ -81,140 +81,125 @@ def attitude_bound_deg(
     polarimeters : tuple of PolarimeterModel
         Angles of the polarisation as measurements, one each five minutes.
     """
+    # compiled scipy is imported where it is used
+    from scipy.linalg import block_diag
+
     drift = drift or DriftStatistics()
-    first, states = _size(noise, wheels), _POLARIMETER * len(polarimeters)
-    rows = _power_rows(sensitivity, noise, wheels)
-    momentum = None if wheels is None else _momentum_rows(rows.shape[1], wheels)
-    power_db2 = np.square(noise.white_db) * _ROW_H / _STEP_H
+    carriers, parts = noise.sigma_db.shape
+    first = _FIRST + carriers * (1 + parts)
+    blocks = [_of_powers(noise, drift), *(_of_wheels(each) for each in (wheels,) if each is not None)]
+    blocks += [_of_polarimeter(each) for each in polarimeters]
+    transition, added, covariance = (block_diag(*each) for each in zip(*blocks, strict=True))
     every = 0 if wheels is None else max(1, round(wheels.period_s / 3600.0 / _STEP_H))
-    rows = np.hstack([rows, np.zeros((len(rows), states))])
-    momentum = None if momentum is None else np.hstack([momentum, np.zeros((2, states))])
-    kept, grown, angles_deg2 = _wander(polarimeters)
-    covariance = _as_blocks(_aligned(noise, wheels, drift), np.diag(angles_deg2))
-    steps, variances = round(_SPAN_H / _STEP_H), []
-    transition, added = _transition(noise, wheels, drift)
-    transition, added = _as_blocks(transition, np.diag(kept)), _as_blocks(added, np.diag(grown))
+    rows = np.zeros((carriers, len(covariance)))
+    rows[:, _ANGLES], rows[:, _CHAIN] = sensitivity, 1.0
+    rows[:, _FIRST:first] = np.hstack([np.eye(carriers), np.repeat(np.eye(carriers), parts, axis=1)])
+    power_db2 = np.square(noise.white_db) * _ROW_H / _STEP_H
     white_deg2 = np.array([one.white_deg**2 for one in polarimeters]) * _ROW_H / _STEP_H
-    for step in range(1, steps + 1):
+    variances = []
+    for step in range(1, round(_SPAN_H / _STEP_H) + 1):
         covariance = transition @ covariance @ transition.T + added
+        phase = 2.0 * math.pi * step * _STEP_H / _DAY_H
         if wheels is not None:
-            covariance = _pushed(covariance, first, step * _STEP_H)
+            push = _push(len(covariance), first, phase)
+            covariance = push @ covariance @ push.T
         covariance = _updated(covariance, rows, power_db2)
-        if wheels is not None and momentum is not None and step % every == 0:
+        if wheels is not None and step % every == 0:
+            momentum = _momentum_rows(len(covariance), first, wheels)
             covariance = _updated(covariance, momentum, np.full(2, wheels.sigma_n_m_s**2))
         if polarimeters:
-            covariance = _updated(covariance, _angle_rows(first, polarimeters, step * _STEP_H), white_deg2)
+            covariance = _updated(covariance, _angle_rows(len(covariance), polarimeters, phase), white_deg2)
         variances.append(np.diagonal(covariance)[_ANGLES].copy())
     return np.asarray(np.sqrt(np.mean(variances[-round(_JUDGED_H / _STEP_H) :], axis=0)))
 
 
-def _size(noise: ColouredNoise, wheels: WheelStatistics | None) -> int:
-    return _FIRST + len(noise.white_db) + noise.sigma_db.size + (0 if wheels is None else _MOMENTUM)
+class _States(NamedTuple):
+    """Some states: transition and process noise of a step, and covariance at the alignment, (D, D) each."""
+
+    transition: FloatArray
+    added: FloatArray
+    covariance: FloatArray
 
 
-def _power_rows(sensitivity: FloatArray, noise: ColouredNoise, wheels: WheelStatistics | None) -> FloatArray:
-    """Return the rows (N, D) of the powers."""
-    carriers, parts = noise.sigma_db.shape
-    rows = np.zeros((carriers, _size(noise, wheels)))
-    rows[:, _ANGLES], rows[:, _CHAIN] = sensitivity, 1.0
-    rows[:, _FIRST : _FIRST + carriers] = np.eye(carriers)
-    first = _FIRST + carriers
-    rows[:, first : first + carriers * parts] = np.repeat(np.eye(carriers), parts, axis=1)
-    return rows
+def _of_powers(noise: ColouredNoise, drift: DriftStatistics) -> _States:
+    """Return angles, drift, chain, references and coloured parts."""
+    tau_h, power_db2 = noise.tau_s / 3600.0, np.square(noise.sigma_db)
+    mean_db2 = np.square(noise.white_db) * _ROW_H / _QUIET_H
+    mean_db2 = mean_db2 + (power_db2 * np.minimum(1.0, 2.0 * tau_h / _QUIET_H)).sum(axis=1)
+    keep = np.exp(-_STEP_H * 3600.0 / np.where(noise.tau_s > 0.0, noise.tau_s, 1.0)).ravel()
+    drift_keep, drift_deg2 = math.exp(-_STEP_H / drift.tau_h), np.square(drift.sigma_deg_h)
+    transition = np.diag(np.concatenate([np.ones(3), np.full(3, drift_keep), np.ones(1 + len(mean_db2)), keep]))
+    transition[:2, :2] = _turn(1.0)
+    transition[_ANGLES, _DRIFT] = _STEP_H * np.eye(3)
+    added = [
+        [drift.walk_deg_sqrt_h**2 * _STEP_H] * 3,
+        drift_deg2 * (1.0 - drift_keep**2),
+        [_CHAIN_WALK_DB**2 * _STEP_H],
+    ]
+    aligned = [[_ALIGNED_DEG**2] * 3, drift_deg2, [_CHAIN_DB**2], mean_db2, power_db2.ravel()]
+    return _States(
+        transition,
+        np.diag(np.concatenate([*added, np.zeros(len(mean_db2)), power_db2.ravel() * (1.0 - keep**2)])),
+        np.diag(np.concatenate(aligned)),
+    )
 
 
-def _momentum_rows(size: int, wheels: WheelStatistics) -> FloatArray:
-    """Return the rows (2, D) of hx and hz."""
-    first, by_angle = size - _MOMENTUM, math.radians(wheels.pitch_bias_n_m_s)
-    rows = np.zeros((2, size))
+def _of_wheels(wheels: WheelStatistics) -> _States:
+    """Return momentum, misalignment and torque."""
+    torque = [(wheels.torque_error_n_m * 3600.0) ** 2] * 6
+    walk = [_WALK_N_M_S**2 * _STEP_H * 3600.0] * 2
+    transition = np.eye(_MOMENTUM)
+    transition[:2, :2] = _turn(-1.0)
+    return _States(
+        transition,
+        np.diag(walk + [0.0] * (_MOMENTUM - 2)),
+        np.diag([_FREE_N_M_S**2] * 2 + [wheels.misalignment_deg**2] * 2 + torque),
+    )
+
+
+def _of_polarimeter(one: PolarimeterModel) -> _States:
+    """Return offset, daily wave and wander."""
+    keep = math.exp(-_STEP_H / one.wander_h)
+    unknown = [_FREE_OFFSET_DEG**2, one.daily_deg**2, one.daily_deg**2]
+    known = unknown if one.learned is None else np.diag(np.array(one.learned.covariance)).tolist()
+    return _States(
+        np.diag([1.0, 1.0, 1.0, keep]),
+        np.diag([one.offset_walk_deg_sqrt_h**2 * _STEP_H, 0.0, 0.0, one.wander_deg**2 * (1.0 - keep**2)]),
+        np.diag([*known, one.wander_deg**2]),
+    )
+
+
+def _turn(sign: float) -> FloatArray:
+    """Return what the orbit's turn makes of two components in a step."""
+    angle = sign * _ORBITAL_RATE_PER_H * _STEP_H
+    return np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+
+
+def _momentum_rows(states: int, first: int, wheels: WheelStatistics) -> FloatArray:
+    """Return the rows (2, D) of hx and hz; the states of wheels begin at a place."""
+    by_angle = math.radians(wheels.pitch_bias_n_m_s)
+    rows = np.zeros((2, states))
     rows[0, [0, first, first + 2]] = by_angle, 1.0, by_angle
     rows[1, [1, first + 1, first + 3]] = -by_angle, 1.0, -by_angle
     return rows
 
 
-def _aligned(noise: ColouredNoise, wheels: WheelStatistics | None, drift: DriftStatistics) -> FloatArray:
-    """Return the covariance at the alignment."""
-    tau_h = noise.tau_s / 3600.0
-    mean_db2 = np.square(noise.white_db) * _ROW_H / _QUIET_H
-    mean_db2 = mean_db2 + (np.square(noise.sigma_db) * np.minimum(1.0, 2.0 * tau_h / _QUIET_H)).sum(axis=1)
-    parts = [[_ALIGNED_DEG**2] * 3, np.square(drift.sigma_deg_h), [_CHAIN_DB**2], mean_db2, np.square(noise.sigma_db)]
-    if wheels is not None:
-        torque = [(wheels.torque_error_n_m * 3600.0) ** 2] * 6
-        parts += [[_FREE_N_M_S**2] * 2, [wheels.misalignment_deg**2] * 2, torque]
-    return np.diag(np.concatenate([np.ravel(part) for part in parts]))
-
-
-def _transition(
-    noise: ColouredNoise, wheels: WheelStatistics | None, drift: DriftStatistics
-) -> tuple[FloatArray, FloatArray]:
-    """Return transition and process noise (D, D) of a step, without the torque on the momentum."""
-    size, carriers = _size(noise, wheels), len(noise.white_db)
-    transition, added = np.eye(size), np.zeros(size)
-    angle = _ORBITAL_RATE_PER_H * _STEP_H
-    cos, sin = math.cos(angle), math.sin(angle)
-    transition[:2, :2] = [[cos, -sin], [sin, cos]]
-    transition[_ANGLES, _DRIFT] = _STEP_H * np.eye(3)
-    keep = math.exp(-_STEP_H / drift.tau_h)
-    transition[_DRIFT, _DRIFT] = keep * np.eye(3)
-    added[_ANGLES] = drift.walk_deg_sqrt_h**2 * _STEP_H
-    added[_DRIFT] = np.square(drift.sigma_deg_h) * (1.0 - keep**2)
-    added[_CHAIN] = _CHAIN_WALK_DB**2 * _STEP_H
-    coloured = slice(_FIRST + carriers, _FIRST + carriers + noise.sigma_db.size)
-    kept = np.exp(-_STEP_H * 3600.0 / np.where(noise.tau_s > 0.0, noise.tau_s, 1.0)).ravel()
-    transition[coloured, coloured] = np.diag(kept)
-    added[coloured] = np.square(noise.sigma_db).ravel() * (1.0 - kept**2)
-    if wheels is not None:
-        own = slice(size - _MOMENTUM, size - _MOMENTUM + 2)
-        transition[own, own] = [[cos, sin], [-sin, cos]]
-        added[own] = _WALK_N_M_S**2 * _STEP_H * 3600.0
-    return transition, np.diag(added)
-
-
-def _as_blocks(matrix: FloatArray, other: FloatArray) -> FloatArray:
-    """Return two square matrices (D, D) and (E, E) as blocks of one."""
-    size = len(matrix)
-    both = np.zeros((size + len(other), size + len(other)))
-    both[:size, :size], both[size:, size:] = matrix, other
-    return both
-
-
-def _wander(polarimeters: tuple[PolarimeterModel, ...]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return what a step keeps of the states of polarimeters and adds, and their variance before it, (4 P,) each."""
-    kept, grown = [], []
-    variance: list[float] = []
-    for one in polarimeters:
-        keep = math.exp(-_STEP_H / one.wander_h)
-        kept += [1.0, 1.0, 1.0, keep]
-        grown += [one.offset_walk_deg_sqrt_h**2 * _STEP_H, 0.0, 0.0, one.wander_deg**2 * (1.0 - keep**2)]
-        unknown = [_FREE_OFFSET_DEG**2, one.daily_deg**2, one.daily_deg**2]
-        variance += unknown if one.learned is None else np.diag(np.array(one.learned.covariance)).tolist()
-        variance.append(one.wander_deg**2)
-    return np.array(kept), np.array(grown), np.array(variance)
-
-
-def _angle_rows(first: int, polarimeters: tuple[PolarimeterModel, ...], hours: float) -> FloatArray:
-    """Return the rows (P, D) of angles; the states of polarimeters are the last ones, from a place on."""
-    phase = 2.0 * math.pi * hours / _DAY_H
-    rows = np.zeros((len(polarimeters), first + _POLARIMETER * len(polarimeters)))
-    for number, one in enumerate(polarimeters):
-        own = first + _POLARIMETER * number
-        rows[number, _ANGLES] = one.sight
-        rows[number, own : own + _POLARIMETER] = 1.0, math.cos(phase), math.sin(phase), 1.0
+def _angle_rows(states: int, polarimeters: tuple[PolarimeterModel, ...], phase: float) -> FloatArray:
+    """Return the rows (P, D) of angles; the states of polarimeters are the last ones."""
+    own = np.kron(np.eye(len(polarimeters)), [1.0, math.cos(phase), math.sin(phase), 1.0])
+    rows = np.zeros((len(polarimeters), states))
+    rows[:, _ANGLES] = [one.sight for one in polarimeters]
+    rows[:, states - own.shape[1] :] = own
     return rows
 
 
-def _pushed(covariance: FloatArray, states: int, hours: float) -> FloatArray:
-    """Return the covariance after the torque of a step has acted on the momentum, the last of some states.
-
-    Torques in N m s an hour.
-    """
-    first = states - _MOMENTUM
-    phase = 2.0 * math.pi * hours / _DAY_H
-    push = np.eye(len(covariance))
+def _push(states: int, first: int, phase: float) -> FloatArray:
+    """Return what the torque of a step, in N m s an hour, does to the momentum, whose states begin at a place."""
+    push = np.eye(states)
     for axis in range(2):
         at = first + 4 + 3 * axis
         push[first + axis, at : at + 3] = np.array([1.0, math.cos(phase), math.sin(phase)]) * _STEP_H
-    return np.asarray(push @ covariance @ push.T)
+    return push
 
 
 def _updated(covariance: FloatArray, rows: FloatArray, variance: FloatArray) -> FloatArray:

@@ -7,6 +7,10 @@ a free one until none helps. The law of this file: no transponder holds more tha
 fails as one, wherever the plan offers that many carriers elsewhere; where it does not, the share is exceeded as little
 as possible and the choice does not count as sufficient. Neither does one of fewer than ``MIN_CARRIERS``, or with fewer
 than ``MIN_REDUNDANCY`` carriers beyond the five unknowns that a moved transponder needs.
+
+Turns for a calibration: every axis to both sides in steps, then the corners of all octants. The spacecraft returns to
+zero between the axes, so that slow changes of the users' levels are seen apart from its turns, and consecutive corners
+differ in one sign, so that no slew is longer than it must be.
 """
 
 import math
@@ -15,12 +19,10 @@ from typing import NamedTuple
 import numpy as np
 
 from service.core.arrays import BoolArray, FloatArray, IntArray
-from service.core.estimation.observability import crlb_deg, level_columns, leverages
+from service.core.estimation.observability import crlb_deg, level_columns
 
 #: Weights of yaw, roll, pitch.
 AXIS_WEIGHTS = (0.05, 1.0, 1.0)
-#: Attitude, and the level of one moved transponder; each level that carriers share comes on top.
-_UNKNOWNS = 4
 #: Carriers beyond these that a choice keeps for mutual checks.
 MIN_REDUNDANCY = 6
 #: Fewest carriers of a choice that counts as sufficient.
@@ -32,33 +34,7 @@ _ANGLE_PRIOR, _LEVEL_PRIOR = 1e-2, 1e-4
 #: 1/dB^2, levels known to 0.1 dB, for a growth that does not mind how many levels there are
 _KNOWN_LEVEL = 100.0
 _MIN_GAIN = 1e-9
-
-
-class Design(NamedTuple):
-    """Choice among N carriers.
-
-    Parameters
-    ----------
-    chosen : ndarray of int, shape (C,)
-        Carriers in ascending order; fewer than asked for where fewer are eligible.
-    crlb_deg : ndarray, shape (3,), deg
-        Bound of yaw, roll, pitch for one row with a common level; NaN when not determined.
-    cost_deg2 : float, deg^2
-        Weighted sum of variances; infinite when not determined.
-    leverage : ndarray, shape (N,)
-        Of the chosen carriers, weighted by their noise; NaN for the others.
-    redundancy : int
-        Chosen carriers beyond three angles, their common levels and the level of one moved transponder.
-    transponder_share : float
-        Largest share of the chosen carriers in one transponder; 0 without carriers.
-    """
-
-    chosen: IntArray
-    crlb_deg: FloatArray
-    cost_deg2: float
-    leverage: FloatArray
-    redundancy: int
-    transponder_share: float
+_WEIGHTS = np.square(AXIS_WEIGHTS)
 
 
 def choose_carriers(
@@ -69,8 +45,7 @@ def choose_carriers(
     *,
     eligible: BoolArray | None = None,
     level: IntArray | None = None,
-    axis_weights: tuple[float, float, float] = AXIS_WEIGHTS,
-) -> Design:
+) -> IntArray:
     """Return the carriers that determine the attitude best.
 
     Parameters
@@ -87,12 +62,11 @@ def choose_carriers(
         Carriers that may be chosen.
     level : ndarray of int, shape (N,), optional
         Number of the level that each carrier shares; one common level by default.
-    axis_weights : tuple of float
-        Weights of yaw, roll, pitch.
 
     Returns
     -------
-    Design
+    ndarray of int, shape (C,)
+        Carriers in ascending order; fewer than asked for where fewer are eligible.
 
     References
     ----------
@@ -101,7 +75,7 @@ def choose_carriers(
     Examples
     --------
     >>> sensitivity = np.array([[0.2, 1, 0], [0.2, -1, 0], [-0.2, 0, 1], [0.2, 0, -1], [0.0, 0, 0], [-0.2, 1, 1]])
-    >>> choose_carriers(sensitivity, np.full(6, 0.1), np.arange(6), 5).chosen  # the flat one tells the common level
+    >>> choose_carriers(sensitivity, np.full(6, 0.1), np.arange(6), 5)  # the flat one tells the common level
     array([0, 1, 3, 4, 5])
     """
     is_free = np.isfinite(sensitivity).all(axis=1) & np.isfinite(sigma_db) & (sigma_db > 0.0)
@@ -112,14 +86,28 @@ def choose_carriers(
     rows = np.column_stack([np.where(is_free[:, np.newaxis], sensitivity, 0.0), columns])
     rows /= np.where(is_free, sigma_db, 1.0)[:, np.newaxis]
     limit = _transponder_limit(transponder[is_free], count)
-    weights = np.square(np.array(axis_weights))
-    designs = []
+    choices = []
     for level_prior in (_LEVEL_PRIOR, _KNOWN_LEVEL):
         # of a level that nothing is known of the first carrier tells nothing: a second growth looks beyond that
-        chosen = _grown(rows, transponder, is_free, count, limit, weights, level_prior)
-        chosen = _exchanged(rows, transponder, is_free, chosen, limit, weights)
-        designs.append(_judged(sensitivity, sigma_db, transponder, shared, np.flatnonzero(chosen), weights))
-    return min(designs, key=lambda design: design.cost_deg2)
+        grown = _grown(rows, transponder, is_free, count, limit, level_prior)
+        choices.append(np.flatnonzero(_exchanged(rows, transponder, is_free, grown, limit)))
+
+    def cost_deg2(chosen: IntArray) -> float:
+        bound = crlb_deg(sensitivity[chosen], sigma_db[chosen], with_common=True, level=shared[chosen])
+        return float(weighted_variance_deg2(bound))
+
+    return min(choices, key=cost_deg2)
+
+
+def weighted_variance_deg2(bound_deg: FloatArray) -> FloatArray:
+    """Return the weighted sums of variances (...) of bounds (..., 3) in deg; infinite where a bound is NaN.
+
+    Examples
+    --------
+    >>> weighted_variance_deg2(np.array([2.0, 0.1, np.nan])), weighted_variance_deg2(np.array([2.0, 0.1, 0.1])).round(6)
+    (array(inf), np.float64(0.03))
+    """
+    return np.asarray(np.nan_to_num(np.square(bound_deg) @ _WEIGHTS, nan=math.inf))
 
 
 def largest_share(transponder: IntArray) -> float:
@@ -156,35 +144,10 @@ def _transponder_limit(transponder: IntArray, count: int) -> int:
     return limit
 
 
-def _judged(
-    sensitivity: FloatArray,
-    sigma_db: FloatArray,
-    transponder: IntArray,
-    level: IntArray,
-    picked: IntArray,
-    weights: FloatArray,
-) -> Design:
-    """Return the design of the picked carriers with its figures."""
-    bound = crlb_deg(sensitivity[picked], sigma_db[picked], with_common=True, level=level[picked])
-    leverage = np.full(len(sensitivity), math.nan)
-    leverage[picked] = leverages(sensitivity[picked], sigma_db[picked], level=level[picked])
-    is_determined = bool(np.isfinite(bound).all())
-    levels = max(1, len(np.unique(level[picked])))
-    redundancy, share = len(picked) - _UNKNOWNS - levels, largest_share(transponder[picked])
-    return Design(
-        chosen=picked.astype(np.int64),
-        crlb_deg=bound,
-        cost_deg2=float(np.sum(weights * bound**2)) if is_determined else math.inf,
-        leverage=leverage,
-        redundancy=redundancy,
-        transponder_share=share,
-    )
-
-
-def _costs(normal: FloatArray, weights: FloatArray, level_prior: float) -> FloatArray:
+def _costs(normal: FloatArray, level_prior: float) -> FloatArray:
     """Return the weighted sums of variances (...) of normal matrices (..., U, U)."""
     inverse = np.linalg.inv(normal + _prior(normal.shape[-1], level_prior))
-    return np.asarray(np.diagonal(inverse, axis1=-2, axis2=-1)[..., :3] @ weights)
+    return np.asarray(np.diagonal(inverse, axis1=-2, axis2=-1)[..., :3] @ _WEIGHTS)
 
 
 def _prior(unknowns: int, level_prior: float = _LEVEL_PRIOR) -> FloatArray:
@@ -203,7 +166,6 @@ def _grown(
     is_free: BoolArray,
     count: int,
     limit: int,
-    weights: FloatArray,
     level_prior: float,
 ) -> BoolArray:
     """Return a first choice: the carrier that helps most, one after another."""
@@ -215,14 +177,12 @@ def _grown(
         candidates = np.flatnonzero(is_free & ~chosen & is_open)
         if not candidates.size:
             break
-        cost = _costs(added[chosen].sum(axis=0) + added[candidates], weights, level_prior)
+        cost = _costs(added[chosen].sum(axis=0) + added[candidates], level_prior)
         chosen[candidates[int(np.argmin(cost))]] = True
     return chosen
 
 
-def _exchanged(
-    rows: FloatArray, transponder: IntArray, is_free: BoolArray, chosen: BoolArray, limit: int, weights: FloatArray
-) -> BoolArray:
+def _exchanged(rows: FloatArray, transponder: IntArray, is_free: BoolArray, chosen: BoolArray, limit: int) -> BoolArray:
     """Return the choice after the best exchanges, until none lowers the cost."""
     chosen, added = chosen.copy(), _normals(rows)
     while True:
@@ -232,26 +192,81 @@ def _exchanged(
         held = np.array([np.count_nonzero(transponder[inside] == label) for label in transponder[outside]])
         is_same = transponder[inside][:, np.newaxis] == transponder[outside]
         inverse = np.linalg.inv(added[inside].sum(axis=0) + _prior(rows.shape[1]))
-        gain = np.where(is_same | (held < limit), _exchange_gains(rows, inside, outside, inverse, weights), -math.inf)
+        gain = np.where(is_same | (held < limit), _exchange_gains(rows, inside, outside, inverse), -math.inf)
         leaving, coming = np.unravel_index(int(np.argmax(gain)), gain.shape)
-        if not gain[leaving, coming] > _MIN_GAIN * float(np.diagonal(inverse)[:3] @ weights):
+        if not gain[leaving, coming] > _MIN_GAIN * float(np.diagonal(inverse)[:3] @ _WEIGHTS):
             return chosen
         chosen[inside[leaving]], chosen[outside[coming]] = False, True
 
 
-def _exchange_gains(
-    rows: FloatArray, inside: IntArray, outside: IntArray, inverse: FloatArray, weights: FloatArray
-) -> FloatArray:
+def _exchange_gains(rows: FloatArray, inside: IntArray, outside: IntArray, inverse: FloatArray) -> FloatArray:
     """Return by how much each exchange lowers the cost, shape (inside, outside).
 
     With C the inverse, x the leaving and y the coming row, ``(C^-1 - x x' + y y')^-1`` is C less a term of rank two
     (Woodbury); ``d = x' C y`` and ``q`` the same with C W C, W the weights, give the trace of that term.
     """
     leaving, coming = rows[inside] @ inverse, rows[outside] @ inverse
-    weighted = np.append(weights, np.zeros(rows.shape[1] - 3))
+    weighted = np.append(_WEIGHTS, np.zeros(rows.shape[1] - 3))
     d_xx = np.vecdot(leaving, rows[inside])[:, np.newaxis]
     d_yy, d_xy = np.vecdot(coming, rows[outside]), leaving @ rows[outside].T
     q_xx = (leaving**2 @ weighted)[:, np.newaxis]
     q_yy, q_xy = coming**2 @ weighted, (leaving * weighted) @ coming.T
     determinant = (d_xx - 1.0) * (1.0 + d_yy) - d_xy**2
     return np.asarray(((1.0 + d_yy) * q_xx - 2.0 * d_xy * q_xy + (d_xx - 1.0) * q_yy) / determinant)
+
+
+#: deg and minutes, the turns of a calibration: levels on each side of each axis, then the corners of all octants.
+TURN_LEVELS_DEG = (0.125, 0.25, 0.375, 0.5)
+TURN_CORNER_DEG = 0.3
+TURN_MINUTES = 15.0
+REST_MINUTES = 10.0
+#: deg, yaw is turned this far where the spacecraft allows it: it is eight times less visible.
+FAR_YAW_DEG = 1.0
+
+
+class TurnLevel(NamedTuple):
+    """One recommended level: yaw, roll, pitch in deg, held for some minutes."""
+
+    attitude_deg: tuple[float, float, float]
+    minutes: float
+
+
+def recommended_turns(*, far_yaw: bool = False) -> tuple[TurnLevel, ...]:
+    """Return the turns of a calibration in order, with rests at zero.
+
+    Parameters
+    ----------
+    far_yaw : bool
+        The spacecraft may turn 1 deg about yaw; the yaw levels are then doubled.
+
+    Returns
+    -------
+    tuple of TurnLevel
+        8.5 hours: plus and minus four levels for each axis, then the eight corners of 0.3 deg, one sign at a time.
+
+    Examples
+    --------
+    >>> turns = recommended_turns()
+    >>> len(turns), sum(turn.minutes for turn in turns) / 60.0
+    (39, 8.5)
+    """
+    scale = (FAR_YAW_DEG / TURN_LEVELS_DEG[-1] if far_yaw else 1.0, 1.0, 1.0)
+    rest = TurnLevel((0.0, 0.0, 0.0), REST_MINUTES)
+    turns = []
+    for axis in range(3):
+        for sign in (1.0, -1.0):
+            sizes = [sign * level * scale[axis] for level in TURN_LEVELS_DEG]
+            turns += [TurnLevel(_about(axis, size), TURN_MINUTES) for size in sizes]
+            turns.append(rest)
+    for number in range(8):
+        # Gray code: consecutive corners differ in one sign
+        code = number ^ (number >> 1)
+        yaw, roll, pitch = (TURN_CORNER_DEG * (-1.0 if code >> bit & 1 else 1.0) for bit in (2, 1, 0))
+        turns.append(TurnLevel((yaw, roll, pitch), REST_MINUTES))
+    return (*turns, rest)
+
+
+def _about(axis: int, size_deg: float) -> tuple[float, float, float]:
+    """Return an attitude about one axis."""
+    yaw, roll, pitch = (size_deg if axis == k else 0.0 for k in range(3))
+    return yaw, roll, pitch

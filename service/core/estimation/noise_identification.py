@@ -8,6 +8,12 @@ the share w_i of its own variance with it; variances come from the periodograms 
 
 The law of this file: slow noise that the window cannot exclude is believed in, up to ``UNSEEN_DB``; where the window
 excludes it, it goes to nothing.
+
+Random walk of the carriers' levels, from the slopes that quiet days show beyond their noise: a walk of w dB per square
+root of hour leaves in the straight line through T hours a slope of variance ``(6/5) w^2 / T``; noise of the density S_0
+at low frequency leaves ``12 S_0 / T^3``. What all carriers do together belongs to the receiving chain and is taken out
+first. One slope is one figure, so the walk of all carriers counts as several of each carrier's own, and no walk is
+believed to be below the floor given.
 """
 
 from typing import NamedTuple
@@ -16,6 +22,7 @@ import numpy as np
 
 from service.core.arrays import BoolArray, FloatArray
 from service.core.estimation.noise import Spectra, fitted_variances, grouped_spectra, pooled_variances, regular_grid
+from service.core.estimation.robust import MAD_TO_SIGMA, middle_values
 
 #: s, correlation times.
 LADDER_S = (300.0, 1200.0, 7200.0, 36_000.0)
@@ -29,7 +36,6 @@ _ODD_RATIO = 6.0
 MIN_ROWS = 100
 #: Fewest carriers in a row whose mean tells what they have in common.
 _MIN_COMMON = 4
-_MAD_TO_SIGMA = 1.4826
 #: Rows of a mean in which a shower shows, what it loses at least, dB and in spreads of such means, means left out
 #: before and after it.
 _BLOCK_ROWS = 10
@@ -63,6 +69,11 @@ class IdentifiedNoise(NamedTuple):
     sigma_db: FloatArray
     tau_s: FloatArray
     common_db: FloatArray
+
+    @property
+    def slow_db(self) -> FloatArray:
+        """Own correlated parts together, shape (N,)."""
+        return np.asarray(np.sqrt(np.square(self.sigma_db).sum(axis=1)))
 
     @property
     def whole_db(self) -> FloatArray:
@@ -141,18 +152,12 @@ def _symmetric_share(residual_db: FloatArray) -> float:
     mean = np.where(count > _SLOW_ROWS // 2, np.nansum(hours, axis=1) / np.maximum(count, 1), np.nan)
     if not np.isfinite(mean).any():
         return 1.0
-    apart = mean - _median(mean)
-    scale = _MAD_TO_SIGMA * _median(np.abs(apart))
+    apart = mean - middle_values(mean)[0]
+    scale = np.nan_to_num(MAD_TO_SIGMA * middle_values(np.abs(apart))[0])
     apart = np.where(np.isfinite(apart), apart / np.maximum(scale, 1e-6), 0.0)
     above, below = float(np.sum(np.maximum(apart, 0.0) ** 2)), float(np.sum(np.minimum(apart, 0.0) ** 2))
     share = 2.0 * above / max(above + below, 1e-12)
     return share if share < _ASYMMETRIC else 1.0
-
-
-def _median(values: FloatArray) -> FloatArray:
-    """Return the median of each column (T, N) without NaN, 0 where there is nothing."""
-    ordered, count = np.sort(values, axis=0), np.isfinite(values).sum(axis=0)
-    return np.where(count > 0, ordered[np.maximum(count - 1, 0) // 2, np.arange(values.shape[1])], 0.0)
 
 
 def _own_variances(own: Spectra, start: FloatArray) -> FloatArray:
@@ -179,12 +184,10 @@ def _drawn_variances(own: Spectra, start: FloatArray, usual: Spectra) -> tuple[F
 
 def _spread_db(residual_db: FloatArray) -> FloatArray:
     """Return the robust scatter (N,) of each carrier."""
-    size = np.abs(residual_db)
-    ordered = np.sort(size, axis=0)
-    count = np.isfinite(size).sum(axis=0)
-    middle = np.maximum(count - 1, 0) // 2
-    median = ordered[middle, np.arange(size.shape[1])] if len(ordered) else np.zeros(size.shape[1])
-    return np.maximum(np.where(count > 0, _MAD_TO_SIGMA * median, _DEFAULT_WHITE_DB), 1e-3)
+    if not len(residual_db):
+        return np.full(residual_db.shape[1], _DEFAULT_WHITE_DB)
+    spread = MAD_TO_SIGMA * middle_values(np.abs(residual_db))[0]
+    return np.maximum(np.where(np.isfinite(spread), spread, _DEFAULT_WHITE_DB), 1e-3)
 
 
 def _common_db(residual_db: FloatArray, spread_db: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -214,3 +217,78 @@ def _common_parts_db(mean: Spectra, own: Spectra, variance: FloatArray, share: F
     found = fitted_variances(parts, start, np.where(held > 0.0, 1.0, 0.0)[np.newaxis], held)[0, 2:]
     sigma_db = np.sqrt(found)
     return np.where(sigma_db < _LEAST_COMMON_DB, 0.0, sigma_db)
+
+
+#: Figures that the walk of all carriers is worth in that of one.
+_DRIFT_POOL_WEIGHT = 4.0
+#: dB per square root of hour, no level wanders more: it would be no level.
+_MOST_DB = 0.1
+_HOUR_S = 3600.0
+
+
+class LevelDrift(NamedTuple):
+    """Slopes of N carriers over quiet days.
+
+    Parameters
+    ----------
+    slope_db_per_day : ndarray, shape (N,)
+        NaN for a carrier seen too little.
+    sigma_db_per_day : ndarray, shape (N,)
+        What noise alone leaves.
+    walk_db : ndarray, shape (N,), dB per square root of hour
+        Random walk of the level, never NaN.
+    """
+
+    slope_db_per_day: FloatArray
+    sigma_db_per_day: FloatArray
+    walk_db: FloatArray
+
+
+def without_common(residual_db: FloatArray) -> FloatArray:
+    """Return residuals (T, N) less the median of each row; rows of fewer than four carriers are left as they are."""
+    # one carrier that drifts must not make all others drift the other way
+    lower, upper = middle_values(residual_db, axis=1)
+    is_common = np.isfinite(residual_db).sum(axis=1) >= _MIN_COMMON
+    return np.asarray(residual_db - np.where(is_common, 0.5 * (lower + upper), 0.0)[:, np.newaxis])
+
+
+def level_drift(residual_db: FloatArray, epoch_s: FloatArray, noise: IdentifiedNoise, floor_db: float) -> LevelDrift:
+    """Return slopes and random walks.
+
+    Parameters
+    ----------
+    residual_db : ndarray, shape (T, N), dB
+        Of quiet rows; NaN = absent.
+    epoch_s : ndarray, shape (T,), s
+        Ascending.
+    noise : IdentifiedNoise
+        Of the same rows.
+    floor_db : float, dB per square root of hour
+        Least walk.
+
+    Returns
+    -------
+    LevelDrift
+    """
+    own_db = without_common(residual_db)
+    is_there = np.isfinite(own_db)
+    count = is_there.sum(axis=0)
+    is_enough = count >= MIN_ROWS
+    rows = np.maximum(count, 1)
+    value = np.where(is_there, own_db, 0.0)
+    hours = np.where(is_there, (epoch_s / _HOUR_S)[:, np.newaxis], 0.0)
+    centred = np.where(is_there, hours - hours.sum(axis=0) / rows, 0.0)
+    square = np.maximum((centred**2).sum(axis=0), 1e-12)
+    slope = (centred * value).sum(axis=0) / square
+    span_h = np.sqrt(12.0 * square / rows)
+    step_h = np.maximum(span_h / rows, 1e-9)
+    density = noise.white_db**2 * step_h + (2.0 * noise.tau_s / _HOUR_S * noise.sigma_db**2).sum(axis=1)
+    variance = 12.0 * density / np.maximum(span_h, 1e-9) ** 3
+    excess = np.where(is_enough, (slope**2 - variance) * span_h * 5.0 / 6.0, 0.0)
+    pooled = max(float(excess[is_enough].mean()), 0.0) if is_enough.any() else 0.0
+    walk2 = (np.maximum(excess, 0.0) + _DRIFT_POOL_WEIGHT * pooled) / (1.0 + _DRIFT_POOL_WEIGHT)
+    return LevelDrift(
+        np.where(is_enough, 24.0 * slope, np.nan),
+        24.0 * np.sqrt(variance),
+        np.clip(np.sqrt(walk2), floor_db, max(floor_db, _MOST_DB)),
+    )

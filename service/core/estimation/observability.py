@@ -21,8 +21,13 @@ import numpy as np
 
 from service.core.arrays import FloatArray, IntArray
 from service.core.estimation.calibration.whitened_fit import ColouredNoise, stretch_variance_db2
-from service.core.estimation.snapshot.snapshot import FaultBounds, fault_bounds
 
+#: Sigmas beyond which a carrier has less than five per cent of Tukey's weight.
+GATE_SIGMAS = 4.685 * math.sqrt(1.0 - math.sqrt(0.05))
+#: Quantile of the normal distribution for nine in ten.
+_NINE_IN_TEN = 1.2815515655446004
+#: Share of its own error that the others must see of a carrier for any fault to show.
+_MIN_REDUNDANCY = 1e-6
 #: Smallest ratio of the diagonal of R (columns scaled to unit length) that still counts as full rank.
 MIN_RANK_RATIO = 1e-10
 
@@ -83,19 +88,6 @@ def level_columns(carriers: int, level: IntArray | None = None) -> FloatArray:
     return np.where(level[:, np.newaxis] == np.unique(level), 1.0, 0.0)
 
 
-def dilution_of_precision_deg_per_db(
-    sensitivity: FloatArray, *, with_common: bool = False, level: IntArray | None = None
-) -> FloatArray:
-    """Return deg of yaw, roll, pitch error for 1 dB of independent error on every carrier, shape (3,).
-
-    Examples
-    --------
-    >>> dilution_of_precision_deg_per_db(np.diag([0.25, 1.0, 2.0]))
-    array([4. , 1. , 0.5])
-    """
-    return crlb_deg(sensitivity, np.ones(len(sensitivity)), with_common, level=level)
-
-
 def angle_dilution_deg_per_db(sensitivity: FloatArray) -> float:
     """Return the angle DOP ``det((A' A)^-1)^(1/6)``: the dilution of the three angles together.
 
@@ -141,47 +133,6 @@ def common_share(sensitivity: FloatArray) -> float:
     ones = np.ones(len(design))
     projection = np.linalg.qr(design)[0].T @ ones
     return float(projection @ projection) / len(design)
-
-
-def leverages(
-    sensitivity: FloatArray,
-    sigma_db: FloatArray | None = None,
-    *,
-    with_common: bool = True,
-    level: IntArray | None = None,
-) -> FloatArray:
-    """Return how much of each carrier's own error its model follows, shape (N,), 0 to 1; NaN = absent.
-
-    ``h_i = b_i' (B' W B)^-1 b_i / sigma_i^2``; they add up to the number of unknowns. A carrier of leverage 1 is
-    checked by no other: a fault of it is invisible in the residuals.
-
-    Parameters
-    ----------
-    sensitivity : ndarray, shape (N, 3), dB/deg
-        Columns yaw, roll, pitch.
-    sigma_db : ndarray, shape (N,), dB, optional
-        Noise of each carrier; without it all weigh alike.
-    with_common : bool
-        A level common to all carriers is estimated as well.
-    level : ndarray of int, shape (N,), optional
-        Number of the level that each carrier shares, where they share several.
-
-    Examples
-    --------
-    >>> leverages(np.vstack([np.eye(3), np.eye(3)]), with_common=False).round(12)
-    array([0.5, 0.5, 0.5, 0.5, 0.5, 0.5])
-    >>> leverages(np.vstack([np.eye(3), np.eye(3)]), np.array([1, 1, 1, 2, 2, 2.0]), with_common=False).round(12)
-    array([0.8, 0.8, 0.8, 0.2, 0.2, 0.2])
-    """
-    sigma = np.ones(len(sensitivity)) if sigma_db is None else sigma_db
-    is_present = np.isfinite(sensitivity).all(axis=1) & np.isfinite(sigma) & (sigma > 0.0)
-    design = sensitivity[is_present]
-    if with_common:
-        design = np.column_stack([design, level_columns(len(design), None if level is None else level[is_present])])
-    design = design / sigma[is_present, np.newaxis]
-    leverage = np.full(len(sensitivity), math.nan)
-    leverage[is_present] = np.einsum("ni,ij,nj->n", design, normal_inverse(design), design)
-    return leverage
 
 
 def _present(design: FloatArray) -> FloatArray:
@@ -277,18 +228,20 @@ def judge_set(sensitivity: FloatArray, sigma_db: FloatArray, level: IntArray | N
     is_present = np.isfinite(sensitivity).all(axis=1) & np.isfinite(sigma_db) & (sigma_db > 0.0)
     present = np.where(is_present[:, np.newaxis], sensitivity, math.nan)
     shared = np.zeros(len(sensitivity), dtype=np.int64) if level is None else level
-    faults = _fault_bounds(present, np.where(is_present, sigma_db, math.nan), shared)
+    one_db = np.ones(len(sensitivity))
+    checks = np.full((len(sensitivity), 5), math.nan)
+    checks[is_present] = _mutual_checks(sensitivity[is_present], sigma_db[is_present], shared[is_present])
     return SetStatistics(
         condition=condition_number(present),
-        dop_deg_per_db=dilution_of_precision_deg_per_db(present),
-        dop_with_common_deg_per_db=dilution_of_precision_deg_per_db(present, with_common=True, level=shared),
+        dop_deg_per_db=crlb_deg(present, one_db, with_common=False),
+        dop_with_common_deg_per_db=crlb_deg(present, one_db, with_common=True, level=shared),
         angle_dop_deg_per_db=angle_dilution_deg_per_db(present),
         crlb_deg=crlb_deg(present, sigma_db, with_common=True, level=shared),
         crlb_without_common_deg=crlb_deg(present, sigma_db, with_common=False),
         common_share=common_share(present),
-        leverage=leverages(present, sigma_db, level=shared),
-        undetectable_fault_db=faults.detectable_db[0],
-        fault_shift_deg=faults.shift_deg[0],
+        leverage=checks[:, 0],
+        undetectable_fault_db=checks[:, 1],
+        fault_shift_deg=checks[:, 2:],
         redundancy=int(np.count_nonzero(is_present)) - _UNKNOWNS - max(1, len(np.unique(shared[is_present]))),
     )
 
@@ -332,17 +285,17 @@ def averaged_crlb_deg(
     return np.array([crlb_deg(sensitivity, one, with_common=True, level=level) for one in sigma_db.T]).reshape(-1, 3)
 
 
-def _fault_bounds(sensitivity: FloatArray, sigma_db: FloatArray, level: IntArray) -> FaultBounds:
-    """Return the bounds of one row solved by weighted least squares; NaN where nothing is determined."""
-    is_present = np.isfinite(sigma_db)
-    columns = level_columns(len(sensitivity), level)[:, np.isin(np.unique(level), level[is_present])]
-    design = np.column_stack([sensitivity, columns])
-    weighted = np.where(is_present[:, np.newaxis], design, 0.0) / np.where(is_present, sigma_db, 1.0)[:, np.newaxis]
-    inverse = normal_inverse(weighted[is_present])
-    gain = inverse @ (weighted / np.where(is_present, sigma_db, 1.0)[:, np.newaxis]).T
-    gain = np.where(is_present, gain, math.nan)
-    bounds = fault_bounds(design[np.newaxis], gain[np.newaxis], sigma_db[np.newaxis])
-    if columns.shape[1] and np.isfinite(inverse).all():
-        return bounds
-    nothing = np.full((1, *sensitivity.shape), math.nan)
-    return FaultBounds(nothing[..., 0], nothing)
+def _mutual_checks(sensitivity: FloatArray, sigma_db: FloatArray, level: IntArray) -> FloatArray:
+    """Return leverage, undetectable fault and its shift in each angle (N, 5) of carriers that are all present.
+
+    ``h_i = b_i' (B' W B)^-1 b_i / sigma_i^2``: a carrier of leverage 1 is checked by no other, and a fault of it is
+    infinite in the angles that it moves. All NaN where the carriers determine nothing.
+    """
+    design = np.column_stack([sensitivity, level_columns(len(sensitivity), level)]) / sigma_db[:, np.newaxis]
+    inverse = normal_inverse(design)
+    leverage = np.einsum("ni,ij,nj->n", design, inverse, design)
+    redundancy = np.where(np.isnan(leverage) | (leverage < 1.0 - _MIN_REDUNDANCY), 1.0 - leverage, 0.0)
+    with np.errstate(divide="ignore"):
+        fault_db = sigma_db * (GATE_SIGMAS + _NINE_IN_TEN * np.sqrt(np.minimum(redundancy, 1.0))) / redundancy
+    moves = (design / sigma_db[:, np.newaxis] @ inverse)[:, :3]
+    return np.column_stack([leverage, fault_db, np.where(moves == 0.0, 0.0, fault_db[:, np.newaxis]) * moves])

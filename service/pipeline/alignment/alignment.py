@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.core.estimation.calibration.geometry_columns import predict_deviation, predict_jacobian
-from service.core.estimation.noise_model import averaged_sigma_db
+from service.core.estimation.noise import averaged_sigma_db
 from service.core.estimation.paper.downlink_fade import Consistency, compare_with_angles
 from service.pipeline.carrier_model.expected_level import ExpectedLevel, GeometryModel, geometry_model
 from service.pipeline.carrier_model.level_control import centred_response, member_groups, without_group_gain

@@ -15,11 +15,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from service.core.estimation.calibration import gathered_torque as fit
+from service.core.estimation.calibration.checks import responses
 from service.core.estimation.filtering.filter_model import FilterSettings
 from service.core.estimation.filtering.plant import TORQUES
 from service.pipeline.calibration.geometry_fit import JointFit, calibration_warnings, fit_rows, quality_metrics
-from service.pipeline.calibration.geometry_rows import CalibrationError, CalibrationInput, GeometryRows, geometry_rows
+from service.pipeline.calibration.geometry_rows import (
+    CalibrationError,
+    CalibrationInput,
+    GeometryRows,
+    epochs_of,
+    geometry_rows,
+)
 from service.pipeline.calibration.paper_calibration import observe, paper_part
 from service.pipeline.calibration.sensor_signs import report_signs
 from service.pipeline.calibration.telemetry_checks import (
@@ -46,12 +52,10 @@ from service.records.calibration import (
     GeometryFit,
     MotionVerdict,
     NoiseComponent,
-    PolarimeterCheck,
     Row,
     Table,
 )
-from service.records.catalogue import Carrier, Spacecraft
-from service.records.inputs import TelemetryRecord
+from service.records.catalogue import Carrier
 from service.records.levels.attitude import BoolArray, FloatArray, named_axes
 
 #: sigmas from which what gathered is not the torque that the catalogue states
@@ -71,11 +75,11 @@ def gathered_torque(
     onboard = spacecraft.onboard
     unknown = None if onboard.momentum is None else replace(onboard.momentum, torque=None)
     wheels = momentum_model(replace(spacecraft, onboard=replace(onboard, momentum=unknown, fed_forward_torque=None)))
-    records = quiet_records(data, spacecraft)
+    records = data.momentum_records(data.request.quiet)
     if wheels is None or len(records) < _LEAST_RECORDS:
         return None
-    epochs_us = np.array([one.epoch_us for one in records], dtype=np.int64)
-    found = fit.gathered_torque(
+    epochs_us = epochs_of(records)
+    found = responses.gathered_torque(
         epochs_us,
         np.array([one.wheel_momentum_n_m_s for one in records]) @ np.array(spacecraft.wheels.axes),
         angles_at(epochs_us, data.quiet_references, data.sensors, config),
@@ -104,7 +108,7 @@ def gathered_warnings(
     if spacecraft is None or wheels is None or is_left_out or spacecraft.onboard.fed_forward_torque is not None:
         return ()
     if gathered is None:
-        records = len(quiet_records(data, spacecraft))
+        records = len(data.momentum_records(data.request.quiet))
         reason = (
             f"{records} records of momentum within the quiet days, {_LEAST_RECORDS} are needed"
             if records < _LEAST_RECORDS
@@ -121,15 +125,6 @@ def gathered_warnings(
     return (
         f"the torque that gathered in the wheels differs from onboard.momentum.torque by {off:.2g} of {size:.2g} N m; "
         "the filter takes what gathered: correct the profile, its sign or its epoch",
-    )
-
-
-def quiet_records(data: CalibrationInput, spacecraft: Spacecraft) -> list[TelemetryRecord]:
-    """Return the records of the quiet days that tell the momentum of every wheel, in order of their epochs."""
-    quiet, wheels = data.request.quiet, len(spacecraft.wheels.axes)
-    within = (one for one in data.telemetry if quiet.start_us <= one.epoch_us < quiet.stop_us)
-    return sorted(
-        (one for one in within if len(one.wheel_momentum_n_m_s or ()) == wheels), key=lambda one: one.epoch_us
     )
 
 
@@ -172,28 +167,29 @@ def calibrate_geometry(data: CalibrationInput, config: CalibrationConfig) -> Cal
     if np.count_nonzero(is_user_carrier) < MIN_CARRIERS:
         raise CalibrationError(_too_few(data, refusals, int(np.count_nonzero(is_user_carrier))))
     paper = paper_part(data, config, is_every_axis_needed=False)
-    slope = joint.response.slope
     white_db = joint.noise.white_db * data.white_scale
     carriers = tuple(_carrier(one, k, joint, float(white_db[k]), refusals[k]) for k, one in enumerate(paper.carriers))
     quality = quality_metrics(rows, joint, is_used)
-    is_free = is_user_carrier & (joint.group < 0)
     turns = turns_check(data, rows, joint, is_user_carrier, config)
-    reach_deg = quality["yaw_turn_reach_deg"]
-    report = report_signs(data, config, rows.positions, joint.fit.free, is_free, reach_deg, doubt=turns.reason)
+    judged = rows.positions, joint.fit.free, is_user_carrier & (joint.group < 0), quality["yaw_turn_reach_deg"]
+    report = report_signs(data, config, *judged, doubt=turns.reason)
     momentum, rates, angles = momentum_check(data, config), rate_check(data, config), polarimeter_checks(data, config)
     gathered = gathered_torque(data, momentum, rows.angles.sensor_sigma_deg, config)
-    sigma_db = np.hypot(white_db, np.sqrt(np.square(joint.noise.sigma_db).sum(axis=1)))
+    sigma_db = np.hypot(white_db, joint.noise.slow_db)
     record = geometry_record(data, rows, joint, is_used)
     error_db = daily_error_db(geometry_model(record, carriers), record, data.ephemeris, data.request.quiet.start_us)
     return CalibrationResult(
         carriers,
-        observe(slope[is_user_carrier], sigma_db[is_user_carrier]),
+        observe(joint.response.slope[is_user_carrier], sigma_db[is_user_carrier]),
         {
             **paper.quality,
             **quality,
             **turns_quality(turns),
             **report.quality,
-            **_motion_quality(momentum, rates, angles, gathered),
+            **axes_quality("momentum", momentum),
+            **axes_quality("rate", rates),
+            **polarimeter_quality(angles),
+            **gathered_quality(gathered),
         },
         (
             *turns_warnings(turns),
@@ -203,7 +199,8 @@ def calibrate_geometry(data: CalibrationInput, config: CalibrationConfig) -> Cal
             *gathered_warnings(data, momentum, gathered),
             *rate_warnings(data, rates),
             *polarimeter_warnings(angles),
-            *_of_paper(paper.warnings),
+            # the joint fit says the others itself
+            *(f"paper method: {text}" for text in paper.warnings if "carriers are stable and linear" in text),
         ),
         replace(record, daily_error_db=_row(error_db)),
         report.signs,
@@ -213,17 +210,6 @@ def calibrate_geometry(data: CalibrationInput, config: CalibrationConfig) -> Cal
         gathered,
         turns,
     )
-
-
-def _motion_quality(
-    momentum: AxesCheck | None,
-    rates: AxesCheck | None,
-    angles: tuple[PolarimeterCheck, ...],
-    gathered: GatheredTorque | None,
-) -> dict[str, float]:
-    """Return the figures of measured motion, by name."""
-    checks = {**axes_quality("momentum", momentum), **axes_quality("rate", rates), **polarimeter_quality(angles)}
-    return {**checks, **gathered_quality(gathered)}
 
 
 def geometry_record(data: CalibrationInput, rows: GeometryRows, joint: JointFit, is_used: BoolArray) -> GeometryFit:
@@ -257,7 +243,7 @@ def geometry_record(data: CalibrationInput, rows: GeometryRows, joint: JointFit,
         covariance=tuple(_table(one) for one in fit.covariance),
         downlink_covariance=_table(fit.downlink_covariance),
         downlink_gain=tuple(_table(one) for one in fit.downlink_gain),
-        solar_day_db=_table(np.zeros((len(carriers), 2)) if fit.solar_db is None else fit.solar_db),
+        solar_day_db=_table(fit.solar_db),
         quantisation_db=_row(joint.quantisation_db),
         reference_walk_db=_row(joint.drift.walk_db),
         common_noise=_common_noise(joint),
@@ -292,25 +278,21 @@ def _rain_share(band: str, carriers: tuple[Carrier, ...]) -> float:
 
 def _refusals(data: CalibrationInput, rows: GeometryRows, joint: JointFit) -> tuple[str | None, ...]:
     """Return for each carrier why the robust method must not use it, None if it may."""
-    is_unseen = np.isnan(joint.fit.level_dbm)
-    is_hidden = np.isnan(rows.positions.geometry.azimuth_deg) & ~rows.positions.is_beacon
-    is_lonely = small_groups(joint.group)
-    return tuple(
-        _refusal(carrier, is_unseen=bool(is_unseen[k]), is_hidden=bool(is_hidden[k]), is_lonely=bool(is_lonely[k]))
-        for k, carrier in enumerate(data.plan.carriers)
-    )
-
-
-def _refusal(carrier: Carrier, *, is_unseen: bool, is_hidden: bool, is_lonely: bool) -> str | None:
-    """Return why the robust method must not use a carrier, None if it may."""
+    carriers, lonely = data.plan.carriers, "its transponder is under level control and has fewer than"
     reasons = (
-        (not carrier.enabled, "disabled in the plan"),
-        (carrier.uplink_power_control == "auto", "uplink power control hides the effect of the attitude"),
-        (is_hidden, "its station does not see the satellite: check its coordinates"),
-        (is_lonely, f"its transponder is under level control and has fewer than {MIN_GROUP} carriers in the plan"),
-        (is_unseen, "seen in too few stretches of the windows"),
+        ([not each.enabled for each in carriers], "disabled in the plan"),
+        (
+            [each.uplink_power_control == "auto" for each in carriers],
+            "uplink power control hides the effect of the attitude",
+        ),
+        (
+            np.isnan(rows.positions.geometry.azimuth_deg) & ~rows.positions.is_beacon,
+            "its station does not see the satellite: check its coordinates",
+        ),
+        (small_groups(joint.group), f"{lonely} {MIN_GROUP} carriers in the plan"),
+        (np.isnan(joint.fit.level_dbm), "seen in too few stretches of the windows"),
     )
-    return next((text for applies, text in reasons if applies), None)
+    return tuple(next((text for applies, text in reasons if applies[k]), None) for k in range(len(carriers)))
 
 
 def _too_few(data: CalibrationInput, refusals: tuple[str | None, ...], usable: int) -> str:
@@ -319,11 +301,6 @@ def _too_few(data: CalibrationInput, refusals: tuple[str | None, ...], usable: i
     shown = "; ".join(reasons[:5]) + (f"; and {len(reasons) - 5} more" if len(reasons) > 5 else "")
     text = f"only {usable} carriers can be used, {MIN_CARRIERS} are needed for three angles and the common level"
     return f"{text} ({shown})" if shown else text
-
-
-def _of_paper(warnings: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the warnings of the paper part that say something which the joint fit does not."""
-    return tuple(f"paper method: {text}" for text in warnings if "carriers are stable and linear" in text)
 
 
 def _carrier(

@@ -1,17 +1,22 @@
 """Fit of a calibration by geometry, its quality and its warnings."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from service.core.estimation.calibration.geometry_calibration import GeometryCalibration, fit_geometry, response_of
 from service.core.estimation.calibration.geometry_columns import BEAM_SIZE, QuadraticResponse, predict_deviation
-from service.core.estimation.calibration.level_drift import LevelDrift, level_drift
 from service.core.estimation.noise import quantisation_step_db
-from service.core.estimation.noise_identification import IdentifiedNoise, identify_noise
-from service.pipeline.calibration.geometry_rows import DISTURBING, CalibrationInput, GeometryRows, unturned_sides
+from service.core.estimation.noise_identification import IdentifiedNoise, LevelDrift, level_drift
+from service.pipeline.calibration.geometry_rows import (
+    DISTURBING,
+    CalibrationInput,
+    GeometryRows,
+    median_present,
+    unturned_sides,
+)
 from service.pipeline.carrier_model.level_control import (
     MIN_GROUP,
     alc_groups,
@@ -76,8 +81,7 @@ def fit_rows(data: CalibrationInput, rows: GeometryRows, config: CalibrationConf
         fit = fit_geometry(rows.rows._replace(power_dbm=taken_dbm), geometry)
     quiet = np.flatnonzero(rows.is_quiet)
     residual_db = np.where(fit.weight > _GOOD_WEIGHT, fit.residual_db, np.nan)[quiet]
-    noise = fit.identified or identify_noise(residual_db, rows.rows.epoch_s[quiet])
-    scatter = _turn_scatter(fit, rows, noise)
+    scatter = _turn_scatter(fit, rows)
     fit = _with_scatter(fit, scatter.mean)
     # means of several measurements stand on no grid
     first_dbm = data.quiet_first_dbm if data.row_measurements > 1.0 else None
@@ -85,22 +89,22 @@ def fit_rows(data: CalibrationInput, rows: GeometryRows, config: CalibrationConf
     return JointFit(
         fit,
         response_of(fit, geometry),
-        noise,
-        level_drift(residual_db, rows.rows.epoch_s[quiet], noise, config.reference_walk_db_sqrt_h),
+        fit.noise,
+        level_drift(residual_db, rows.rows.epoch_s[quiet], fit.noise, config.reference_walk_db_sqrt_h),
         group,
         np.array([quantisation_step_db(column) for column in readings_dbm.T]),
         scatter,
     )
 
 
-def _turn_scatter(fit: GeometryCalibration, rows: GeometryRows, noise: IdentifiedNoise) -> TurnScatter:
+def _turn_scatter(fit: GeometryCalibration, rows: GeometryRows) -> TurnScatter:
     """Return by how much the squares of what is left of the turns exceed the noise; rain makes it many times."""
     turns = np.flatnonzero(~rows.is_quiet)
     turns = turns[: len(turns) // _SCATTER_ROWS * _SCATTER_ROWS]
     left_db = fit.residual_db[turns].reshape(-1, _SCATTER_ROWS, fit.residual_db.shape[1])
     count = np.isfinite(left_db).sum(axis=1)
     mean_db = np.nansum(left_db, axis=1) / np.maximum(count, 1)
-    expected_db2 = noise.white_db**2 / np.maximum(count, 1) + np.square(noise.sigma_db).sum(axis=1)
+    expected_db2 = fit.noise.white_db**2 / np.maximum(count, 1) + fit.noise.slow_db**2
     ratio = np.where(count > 0, np.minimum(mean_db**2 / expected_db2, _GREATEST_SCATTER), np.nan)
     seen = np.isfinite(ratio).sum(axis=0)
     mean = np.where(seen > 0, np.nansum(ratio, axis=0) / np.maximum(seen, 1), np.nan)
@@ -111,7 +115,7 @@ def _with_scatter(fit: GeometryCalibration, scatter: FloatArray) -> GeometryCali
     """Return the fit with the covariance of the beams as large as the scatter of the turns makes it."""
     scale = np.ones(fit.covariance.shape[:2])
     scale[:, -BEAM_SIZE:] = np.fmax(scatter, 1.0)[:, np.newaxis] ** _SCATTER_POWER
-    return fit._replace(covariance=fit.covariance * scale[:, :, np.newaxis] * scale[:, np.newaxis, :])
+    return replace(fit, covariance=fit.covariance * scale[:, :, np.newaxis] * scale[:, np.newaxis, :])
 
 
 _AXIS_NAMES = ("yaw", "roll", "pitch")
@@ -140,35 +144,28 @@ def quality_metrics(rows: GeometryRows, joint: JointFit, is_used: BoolArray) -> 
     known = np.isfinite(rows.angles.attitude_deg).all(axis=1)
     turns = rows.angles.attitude_deg[known & ~rows.is_quiet]
     sight = rows.rows.motion.sight_deg if rows.rows.motion is not None else np.full((1, 1, 2), np.nan)
-    slow_db = np.sqrt(np.square(joint.noise.sigma_db).sum(axis=1))
     sigma = np.sqrt(np.diagonal(fit.covariance, axis1=1, axis2=2))
     slope_sigma = np.sqrt(np.diagonal(joint.response.covariance, axis1=1, axis2=2))[:, :3]
     figures = {
         "carriers_used": float(np.count_nonzero(is_used)),
         "tracked_share": float(rows.is_tracked.mean()),
         "motion_rms_deg": _rms(sight[np.isfinite(sight)]),
-        "joint_residual_rms_db": _median(fit.residual_rms_db[is_used]),
-        "level_sigma_db": _median(sigma[is_used, 0]),
-        "white_noise_db": _median(joint.noise.white_db[is_used]),
-        "slow_noise_db": _median(slow_db[is_used]),
+        "joint_residual_rms_db": median_present(fit.residual_rms_db[is_used]),
+        "level_sigma_db": median_present(sigma[is_used, 0]),
+        "white_noise_db": median_present(joint.noise.white_db[is_used]),
+        "slow_noise_db": median_present(joint.noise.slow_db[is_used]),
         "common_noise_db": float(np.sqrt(np.square(joint.noise.common_db).sum())),
-        "reference_walk_db_sqrt_h": _median(joint.drift.walk_db[is_used]),
-        "quantisation_db": _median(joint.quantisation_db[is_used]),
-        "turn_scatter": _median(joint.turn_scatter.mean[is_used]),
+        "reference_walk_db_sqrt_h": median_present(joint.drift.walk_db[is_used]),
+        "quantisation_db": median_present(joint.quantisation_db[is_used]),
+        "turn_scatter": median_present(joint.turn_scatter.mean[is_used]),
     }
     shrink = slope_shrink(rows)
     for axis, name in enumerate(_AXIS_NAMES):
         figures[f"{name}_turn_reach_deg"] = float(np.abs(turns[:, axis]).max(initial=0.0))
-        figures[f"{name}_slope_sigma_db_per_deg"] = _median(slope_sigma[is_used, axis])
+        figures[f"{name}_slope_sigma_db_per_deg"] = median_present(slope_sigma[is_used, axis])
         figures[f"{name}_sensor_sigma_deg"] = float(rows.angles.sensor_sigma_deg[axis])
         figures[f"{name}_slope_shrink"] = float(shrink[axis])
     return figures
-
-
-def _median(values: FloatArray) -> float:
-    """Return the median of the figures that are there, NaN when there are none."""
-    present = values[np.isfinite(values)]
-    return float(np.median(present)) if len(present) else float("nan")
 
 
 def _rms(values: FloatArray) -> float:
@@ -342,7 +339,7 @@ def _about_flat(
     turns = turns[np.isfinite(turns).all(axis=1)]
     answer = predict_deviation(turns, joint.response)
     moved_db = answer.std(axis=0) if len(turns) else np.full(len(names), np.nan)
-    noise_db = np.hypot(joint.noise.white_db, np.sqrt(np.square(joint.noise.sigma_db).sum(axis=1)))
+    noise_db = np.hypot(joint.noise.white_db, joint.noise.slow_db)
     for k in np.flatnonzero(is_asked):
         if moved_db[k] < config.flat_share * noise_db[k]:
             yield (
@@ -366,8 +363,6 @@ def _position_warnings(
     joint: JointFit, names: tuple[str, ...], is_asked: BoolArray, config: CalibrationConfig
 ) -> Iterator[str]:
     """Yield the carrier whose station the data want elsewhere most."""
-    if joint.fit.offsets is None:
-        return
     offsets = joint.fit.offsets
     chi_square = np.where(is_asked & (joint.group < 0), offsets.chi_square, 0.0)
     # one wrong place bends the downlink and with it the others: only the worst is named

@@ -1,25 +1,27 @@
 """Windows of a calibration and their rows."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from service.core.estimation.calibration.calibration_bins import SmoothedAngles, smoothed_angles
 from service.core.estimation.calibration.geometry_calibration import CalibrationRows
-from service.core.estimation.calibration.geometry_columns import CarrierGeometry, OrbitMotion, is_known_orbit
-from service.core.estimation.calibration.sensor_smoothing import SmoothedAngles, smoothed_angles
-from service.core.estimation.paper.harmonic import evaluate_harmonic
+from service.core.estimation.calibration.geometry_columns import CarrierGeometry, OrbitMotion
+from service.core.estimation.paper.harmonic import HarmonicFits, evaluate_harmonic
 from service.core.geometry.frames import station_direction
 from service.core.geometry.line_of_sight import (
     Positions,
-    PredictedTrack,
     antenna_motion_deg,
+    latest_node_us,
     node_phase_rad,
     sight_motion_deg,
     track_position_deg,
 )
 from service.pipeline.config import CalibrationConfig
+from service.pipeline.inputs.polarization import predicted_track
 from service.pipeline.inputs.sensor_angles import angles_at
 from service.records.calibration import CalibrationRequest, Window
 from service.records.catalogue import CarrierPlan, Ephemeris, Spacecraft
@@ -75,6 +77,22 @@ class CalibrationInput:
         """White noise of a measurement over that of a row."""
         return math.sqrt(self.row_measurements)
 
+    def angles_deg(self, epochs_us: IntArray, config: CalibrationConfig) -> FloatArray:
+        """Return yaw, roll, pitch (T, 3) of the sensors at some epochs of both windows, deg."""
+        return angles_at(epochs_us, self.quiet_references + self.references, self.sensors, config)
+
+    def momentum_records(self, window: Window) -> list[TelemetryRecord]:
+        """Return the records of a window that tell the momentum of every wheel, in order of their epochs."""
+        wheels = 0 if self.spacecraft is None else len(self.spacecraft.wheels.axes)
+        within = (one for one in self.telemetry if window.start_us <= one.epoch_us < window.stop_us)
+        whole = (one for one in within if len(one.wheel_momentum_n_m_s or ()) == wheels)
+        return sorted(whole, key=lambda one: one.epoch_us)
+
+
+def epochs_of(records: Sequence[TelemetryRecord | PolarizationRecord]) -> IntArray:
+    """Return the epochs (K,) of records, microseconds UTC."""
+    return np.array([one.epoch_us for one in records], dtype=np.int64)
+
 
 @dataclass(frozen=True)
 class TurnRows:
@@ -93,16 +111,16 @@ def phase_rad(ephemeris: Ephemeris, epochs_us: IntArray) -> FloatArray:
     return node_phase_rad(epochs_us, np.array(ephemeris.ascending_nodes_us, dtype=np.int64), ephemeris.nodal_period_s)
 
 
+def node_us(ephemeris: Ephemeris, epoch_us: int) -> int:
+    """Return the ascending node from which the phase of an epoch is counted."""
+    nodes_us = np.array(ephemeris.ascending_nodes_us, dtype=np.int64)
+    return int(latest_node_us(np.array([epoch_us]), nodes_us, ephemeris.nodal_period_s)[0])
+
+
 def turn_rows(
-    data: CalibrationInput,
-    offset_dbm: FloatArray,
-    amplitude_db: FloatArray,
-    harmonic_phase_rad: FloatArray,
-    config: CalibrationConfig,
-    *,
-    is_every_axis_needed: bool = True,
+    data: CalibrationInput, fits: HarmonicFits, config: CalibrationConfig, *, is_every_axis_needed: bool
 ) -> TurnRows:
-    """Return the rows of the turns that have a sensor reading nearby, level and harmonic removed.
+    """Return the rows of the turns that have a sensor reading nearby, level and harmonic of the quiet days removed.
 
     Raises
     ------
@@ -110,17 +128,9 @@ def turn_rows(
         Too few rows, too few of them with angles, or, where every axis is needed, one not turned to both sides.
     """
     epochs_us = data.turns.epochs_us
-    if len(epochs_us) < config.min_turn_rows:
-        message = f"the window of turns holds {len(epochs_us)} measurements, {config.min_turn_rows} are needed"
-        raise CalibrationError(message)
     angles = angles_at(epochs_us, data.references, data.sensors, config)
-    present = np.isfinite(angles).all(axis=1)
-    if int(np.count_nonzero(present)) < config.min_turn_rows:
-        message = (
-            f"only {np.count_nonzero(present)} rows of the turns have angles of {', '.join(sorted(set(data.sensors)))};"
-            f" {config.min_turn_rows} are needed: send the sensor's references or name another source"
-        )
-        raise CalibrationError(message)
+    present = np.asarray(np.isfinite(angles).all(axis=1))
+    _require_rows("window of turns", present, config.min_turn_rows, data.sensors)
     missing = unturned_sides(angles[present], config)
     if missing and is_every_axis_needed:
         message = (
@@ -128,8 +138,8 @@ def turn_rows(
             "a sensitivity for each sign of each axis needs one"
         )
         raise CalibrationError(message)
-    harmonic = evaluate_harmonic(phase_rad(data.ephemeris, epochs_us), amplitude_db, harmonic_phase_rad)
-    deviation = data.turns.power_dbm - offset_dbm - harmonic
+    harmonic = evaluate_harmonic(phase_rad(data.ephemeris, epochs_us), fits.amplitude_db, fits.phase_rad)
+    deviation = data.turns.power_dbm - fits.offset_dbm - harmonic
     time_s = (epochs_us - epochs_us[0]) / US_PER_S
     return TurnRows(time_s[present], angles[present], deviation[present])
 
@@ -143,6 +153,12 @@ def unturned_sides(angles_deg: FloatArray, config: CalibrationConfig) -> list[st
         for side, reach in ((1, high), (-1, -low))
         if reach < config.min_turn_deg
     ]
+
+
+def median_present(values: FloatArray) -> float:
+    """Return the median of the figures that are there, NaN when there are none."""
+    present = values[np.isfinite(values)]
+    return float(np.median(present)) if len(present) else float("nan")
 
 
 _DAY_US = 86_400 * US_PER_S
@@ -212,10 +228,10 @@ def geometry_rows(data: CalibrationInput, config: CalibrationConfig) -> Geometry
     if not len(epochs_us):
         message = "neither window holds a measurement; choose windows of the archive that have some"
         raise CalibrationError(message)
-    angles = smoothed_angles(
-        (epochs_us - epochs_us[0]) / US_PER_S, angles_at(epochs_us, _references(data), data.sensors, config)
-    )
-    _require_rows(data, angles.attitude_deg, is_turn, config)
+    angles = smoothed_angles((epochs_us - epochs_us[0]) / US_PER_S, data.angles_deg(epochs_us, config))
+    has_angles = np.asarray(np.isfinite(angles.attitude_deg).all(axis=1))
+    _require_rows("quiet window", has_angles[~is_turn], config.min_quiet_rows, data.sensors)
+    _require_rows("window of turns", has_angles[is_turn], config.min_turn_rows, data.sensors)
     _require_turns(angles.attitude_deg[is_turn], config)
     positions = plan_positions(data.plan, data.spacecraft)
     motion = orbit_motion(data, epochs_us, positions)
@@ -228,9 +244,8 @@ def geometry_rows(data: CalibrationInput, config: CalibrationConfig) -> Geometry
         ~is_turn,
         float(epochs_us[0] % _DAY_US) / US_PER_S,
     )
-    is_tracked = np.zeros(len(epochs_us), dtype=np.bool_)
-    if motion is not None and is_known_orbit(motion):
-        is_tracked = np.asarray(np.isfinite(motion.sight_deg).all(axis=(1, 2)))
+    sight_deg = np.full((len(epochs_us), 1, 2), np.nan) if motion is None else motion.sight_deg
+    is_tracked = np.asarray(np.isfinite(sight_deg).all(axis=(1, 2)))
     return GeometryRows(epochs_us, rows, positions, angles, ~is_turn, is_tracked)
 
 
@@ -258,9 +273,7 @@ def orbit_motion(data: CalibrationInput, epochs_us: IntArray, positions: PlanPos
     reported, spacecraft = data.ephemeris.track, data.spacecraft
     if reported is None or spacecraft is None or len(reported.epochs_us) < 4:
         return None
-    track = PredictedTrack(
-        np.array(reported.epochs_us, dtype=np.int64), np.array(reported.latitude_deg), np.array(reported.longitude_deg)
-    )
+    track = predicted_track(reported)
     stations = Positions(*(values[:-1] for values in positions.stations))
     is_placeless = np.isnan(positions.geometry.azimuth_deg)
     sight = sight_motion_deg(track_position_deg(track, epochs_us), stations, spacecraft.longitude_deg)
@@ -281,36 +294,23 @@ def joined_rows(data: CalibrationInput, *, is_around: bool = False) -> tuple[Int
     return unique_us, power_dbm[first].astype(np.float64)
 
 
-def _references(data: CalibrationInput) -> tuple[ReferenceSeries, ...]:
-    """Return the readings of each sensor over both windows."""
-    return data.quiet_references + data.references
-
-
 def inside(epochs_us: IntArray, window: Window) -> BoolArray:
     """Return which epochs lie in a window."""
     return np.asarray((epochs_us >= window.start_us) & (epochs_us < window.stop_us))
 
 
-def _require_rows(
-    data: CalibrationInput, attitude_deg: FloatArray, is_turn: BoolArray, config: CalibrationConfig
-) -> None:
-    """Refuse windows without enough rows that have angles."""
-    has_angles = np.isfinite(attitude_deg).all(axis=1)
-    for name, is_in, least in (
-        ("quiet window", ~is_turn, config.min_quiet_rows),
-        ("window of turns", is_turn, config.min_turn_rows),
-    ):
-        rows, known = int(np.count_nonzero(is_in)), int(np.count_nonzero(is_in & has_angles))
-        if rows < least:
-            message = f"the {name} holds {rows} measurements, {least} are needed"
-            raise CalibrationError(message)
-        if known < least:
-            sensors = ", ".join(sorted(set(data.sensors)))
-            message = (
-                f"only {known} rows of the {name} have angles of {sensors}; {least} are needed: "
-                "send the sensor's references or name another source"
-            )
-            raise CalibrationError(message)
+def _require_rows(name: str, has_angles: BoolArray, least: int, sensors: tuple[str, ...]) -> None:
+    """Refuse a window without enough rows (T,), or without enough that have angles."""
+    known = int(np.count_nonzero(has_angles))
+    if len(has_angles) < least:
+        message = f"the {name} holds {len(has_angles)} measurements, {least} are needed"
+        raise CalibrationError(message)
+    if known < least:
+        message = (
+            f"only {known} rows of the {name} have angles of {', '.join(sorted(set(sensors)))}; {least} are needed: "
+            "send the sensor's references or name another source"
+        )
+        raise CalibrationError(message)
 
 
 def _require_turns(attitude_deg: FloatArray, config: CalibrationConfig) -> None:

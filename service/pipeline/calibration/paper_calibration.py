@@ -9,29 +9,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from service.core.estimation.calibration.checks.sensor_axes import FreeResponse
-from service.core.estimation.noise_model import NoiseSplit, split_noise
-from service.core.estimation.observability import condition_number, crlb_deg, dilution_of_precision_deg_per_db
+from service.core.estimation.noise import NoiseSplit, split_noise
+from service.core.estimation.observability import condition_number, crlb_deg
 from service.core.estimation.paper.harmonic import HarmonicFits, evaluate_harmonic, fit_harmonics
 from service.core.estimation.paper.selection import CarrierVerdicts, judge_carriers
 from service.core.estimation.paper.sensitivity import TurnSensitivity, fit_turn_sensitivity, level_knots
-from service.core.geometry.line_of_sight import latest_node_us
 from service.pipeline.calibration.geometry_rows import (
     CalibrationError,
     CalibrationInput,
+    median_present,
+    node_us,
     phase_rad,
     plan_positions,
     turn_rows,
 )
 from service.pipeline.calibration.sensor_signs import report_signs
 from service.pipeline.calibration.turns_check import paper_turns, turns_quality, turns_warnings
+from service.pipeline.calibration.window_harmonics import fitted_harmonic
 from service.pipeline.config import CalibrationConfig, CriteriaConfig
-from service.records.calibration import (
-    CalibrationResult,
-    CarrierCalibration,
-    Harmonic,
-    NoiseComponent,
-    Observability,
-)
+from service.records.calibration import CalibrationResult, CarrierCalibration, NoiseComponent, Observability
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import Axes, BoolArray, FloatArray, named_axes
 
@@ -99,27 +95,18 @@ def paper_part(data: CalibrationInput, config: CalibrationConfig, *, is_every_ax
         As :func:`calibrate_paper`.
     """
     quiet = _fit_quiet(data, config)
-    fits = quiet.fits
-    rows = turn_rows(
-        data,
-        fits.offset_dbm,
-        fits.amplitude_db,
-        fits.phase_rad,
-        config,
-        is_every_axis_needed=is_every_axis_needed,
-    )
-    turn_angles_deg, turn_deviation_db = rows.angles_deg, rows.deviation_db
+    rows = turn_rows(data, quiet.fits, config, is_every_axis_needed=is_every_axis_needed)
     sensitivity = fit_turn_sensitivity(
-        turn_angles_deg,
-        turn_deviation_db,
+        rows.angles_deg,
+        rows.deviation_db,
         gate_sigma=config.harmonic.gate_sigma,
         baseline=level_knots(rows.time_s, config.level_knot_s),
     )
     criteria = config.criteria
     verdicts = judge_carriers(
         quiet.fits.rms_db,
-        turn_angles_deg,
-        turn_deviation_db,
+        rows.angles_deg,
+        rows.deviation_db,
         sensitivity.plus,
         sensitivity.minus,
         max_residual_rms_db=criteria.max_residual_rms_db,
@@ -137,7 +124,7 @@ def paper_part(data: CalibrationInput, config: CalibrationConfig, *, is_every_ax
     return CalibrationResult(
         carriers,
         observe(sensitivity.symmetric[is_selected], quiet.fits.rms_db[is_selected]),
-        _quality(quiet, turn_angles_deg, sensitivity, is_selected),
+        _quality(quiet, rows.angles_deg, sensitivity, is_selected),
         _warnings(data, quiet, is_selected, config),
     )
 
@@ -164,7 +151,7 @@ def observe(sensitivity_db_per_deg: FloatArray, sigma_db: FloatArray) -> Observa
         return Observability(float("nan"), unseen, unseen)
     return Observability(
         float(condition_number(sensitivity_db_per_deg)),
-        named_axes(dilution_of_precision_deg_per_db(sensitivity_db_per_deg)),
+        named_axes(crlb_deg(sensitivity_db_per_deg, np.ones_like(sigma_db), with_common=False)),
         named_axes(crlb_deg(sensitivity_db_per_deg, sigma_db, with_common=True)),
     )
 
@@ -215,19 +202,9 @@ def _carrier(
     is_selected: bool,
 ) -> CarrierCalibration:
     """Return the record of one carrier."""
-    fits, noise = quiet.fits, quiet.noise[k]
-    nodes_us = np.array(data.ephemeris.ascending_nodes_us, dtype=np.int64)
-    node_us = int(latest_node_us(data.quiet.epochs_us[-1:], nodes_us, data.ephemeris.nodal_period_s)[0])
-    harmonic = Harmonic(
-        float(fits.amplitude_db[k]),
-        float(fits.phase_rad[k]),
-        float(fits.offset_dbm[k]),
-        data.ephemeris.nodal_period_s,
-        node_us,
-        float(fits.rms_db[k]),
-        int(fits.samples_used[k]),
-        int(fits.samples_rejected[k]),
-    )
+    noise = quiet.noise[k]
+    start_us = node_us(data.ephemeris, int(data.quiet.epochs_us[-1]))
+    harmonic = fitted_harmonic(quiet.fits, k, data.ephemeris.nodal_period_s, start_us)
     criteria = {"stable": verdicts.stable[k], "linear": verdicts.linear[k], "dominant": verdicts.dominant[k]}
     refused = () if is_usable else ("not usable for attitude: disabled, a beacon, or under uplink power control",)
     axis = int(verdicts.axis[k])
@@ -275,16 +252,10 @@ def _quality(
         "turn_rows": float(len(angles_deg)),
         "turn_reach_deg": float(np.abs(angles_deg).max()),
         "yaw_turn_reach_deg": float(np.abs(angles_deg[:, 0]).max()),
-        "median_residual_rms_db": _median_present(quiet.fits.rms_db),
-        "median_turn_residual_db": _median_present(sensitivity.residual_db),
+        "median_residual_rms_db": median_present(quiet.fits.rms_db),
+        "median_turn_residual_db": median_present(sensitivity.residual_db),
         "carriers_selected": float(np.count_nonzero(is_selected)),
     }
-
-
-def _median_present(values: FloatArray) -> float:
-    """Return the median of the figures that are there, NaN when there are none."""
-    present = values[np.isfinite(values)]
-    return float(np.median(present)) if len(present) else float("nan")
 
 
 def _warnings(

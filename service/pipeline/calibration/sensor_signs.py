@@ -17,7 +17,6 @@ from service.core.estimation.calibration.checks.sensor_axes import (
 )
 from service.pipeline.calibration.geometry_rows import CalibrationError, CalibrationInput, PlanPositions
 from service.pipeline.config import CalibrationConfig
-from service.pipeline.inputs.sensor_angles import angles_at
 from service.records.calibration import SensorSigns
 from service.records.levels.attitude import BoolArray, FloatArray
 
@@ -39,7 +38,7 @@ def report_signs(
     data: CalibrationInput,
     config: CalibrationConfig,
     positions: PlanPositions,
-    free: FreeResponse | None,
+    free: FreeResponse,
     is_used: BoolArray,
     yaw_reach_deg: float,
     *,
@@ -55,7 +54,7 @@ def report_signs(
         Limits.
     positions : PlanPositions
         Positions of the stations.
-    free : FreeResponse or None
+    free : FreeResponse
         Slopes of each carrier about each axis of the sensors.
     is_used : ndarray of bool, shape (N,)
         Carriers with a station, slopes and no level control.
@@ -72,15 +71,15 @@ def report_signs(
     transponders = [carrier.transponder for carrier in data.plan.carriers]
     beam = np.unique(transponders, return_inverse=True)[1]
     turned = _turned(data, config)
-    verdict = None if free is None else judge_axes(free, positions.geometry, beam, is_used, turned)
+    verdict = judge_axes(free, positions.geometry, beam, is_used, turned)
+    unproven = SensorSigns(is_yaw_proven=False, is_common_proven=False)
     if verdict is None:
-        signs = SensorSigns(is_yaw_proven=False, is_common_proven=False)
-        return SignReport(signs, {}, (_unproven("too few carriers have a station"),))
+        return SignReport(unproven, {}, (_unproven("too few carriers have a station"),))
     contradiction = _contradiction(verdict, data.sensors)
     if contradiction and not doubt:
         raise CalibrationError(contradiction)
     if contradiction:
-        return SignReport(SensorSigns(is_yaw_proven=False, is_common_proven=False), {}, (contradiction,))
+        return SignReport(unproven, {}, (contradiction,))
     is_turned = yaw_reach_deg >= config.min_yaw_proof_deg
     is_yaw_proven = is_turned and verdict.margin(-1.0, 1.0, 1.0) >= DECISIVE
     warnings = _about_scale(verdict, config)
@@ -99,8 +98,7 @@ def _turned(data: CalibrationInput, config: CalibrationConfig) -> tuple[FloatArr
     """Return the announced corrections (C, 3) of the turns and the changes that the sensors told."""
     announced = np.array([correction.change_deg for correction in data.corrections]).reshape(-1, 3)
     spans_us = np.array([(one.start_us, one.stop_us) for one in data.corrections], dtype=np.int64).reshape(-1, 2)
-    references = data.quiet_references + data.references
-    before, after = (angles_at(spans_us[:, k], references, data.sensors, config) for k in range(2))
+    before, after = (data.angles_deg(spans_us[:, k], config) for k in range(2))
     return announced, after - before
 
 

@@ -21,7 +21,7 @@ from service.core.estimation.calibration.checks.responses import (
     momentum_response,
     rate_response,
 )
-from service.pipeline.calibration.geometry_rows import CalibrationInput
+from service.pipeline.calibration.geometry_rows import CalibrationInput, epochs_of
 from service.pipeline.config import CalibrationConfig
 from service.pipeline.inputs.known_motion import angle_inertia_kg_m2, is_rate_in_loop, rate_sensor_model
 from service.pipeline.inputs.polarization import (
@@ -33,7 +33,7 @@ from service.pipeline.inputs.polarization import (
     polarimeter_models,
     used_polarimeters,
 )
-from service.pipeline.inputs.sensor_angles import angles_at, inertial_deg_h
+from service.pipeline.inputs.sensor_angles import inertial_deg_h
 from service.records.calibration import AxesCheck, FeedFit, MotionVerdict, PolarimeterCheck, Window
 from service.records.catalogue import Polarimeter, Spacecraft, WheelMomentum
 from service.records.epoch import US_PER_S
@@ -59,12 +59,10 @@ def momentum_check(data: CalibrationInput, config: CalibrationConfig) -> AxesChe
     stated = None if spacecraft is None else spacecraft.onboard.momentum
     if spacecraft is None or stated is None:
         return None
-    axes = np.array(spacecraft.wheels.axes)
-    records = _records(data, len(axes))
+    records = data.momentum_records(data.request.turns)
     if len(records) < _LEAST_RECORDS:
-        return _unchecked(f"{len(records)} records of momentum within the turns, {_LEAST_RECORDS} are needed")
-    response = _response(data, records, axes, spacecraft, config)
-    return _judged(response, stated, config)
+        return AxesCheck(MotionVerdict.UNCHECKED, _too_few("of momentum ", len(records)))
+    return _judged(_response(data, records, spacecraft, config), stated, config)
 
 
 def axes_quality(name: str, check: AxesCheck | None) -> dict[str, float]:
@@ -81,75 +79,68 @@ def axes_quality(name: str, check: AxesCheck | None) -> dict[str, float]:
 
 def momentum_warnings(check: AxesCheck | None) -> tuple[str, ...]:
     """Return the warnings of a check."""
+    return _warnings("the momentum of the wheels in telemetry", ("is", "was"), check, _NEXT)
+
+
+def _warnings(what: str, verbs: tuple[str, str], check: AxesCheck | None, next_step: str) -> tuple[str, ...]:
+    """Return the warning of a check, with what to do where an instrument is refused; verbs of now and of then."""
     if check is None or not check.reason:
         return ()
     if check.verdict is MotionVerdict.CONTRADICTED:
-        return (f"the momentum of the wheels in telemetry is refused: {check.reason}; {_NEXT}",)
-    if check.verdict is MotionVerdict.UNCHECKED:
-        return (f"the momentum of the wheels in telemetry was not checked: {check.reason}",)
-    return (f"the momentum of the wheels in telemetry was checked in part: {check.reason}",)
+        return (f"{what} {verbs[0]} refused: {check.reason}; {next_step}",)
+    is_unchecked = check.verdict is MotionVerdict.UNCHECKED
+    return (f"{what} {verbs[1]} {'not checked' if is_unchecked else 'checked in part'}: {check.reason}",)
 
 
-def _records(data: CalibrationInput, wheels: int) -> list[TelemetryRecord]:
-    """Return the records of the turns that tell the momentum of every wheel, in order of their epochs."""
-    turns = data.request.turns
-    reported = [
-        one
-        for one in data.telemetry
-        if turns.start_us <= one.epoch_us < turns.stop_us and len(one.wheel_momentum_n_m_s or ()) == wheels
-    ]
-    return sorted(reported, key=lambda one: one.epoch_us)
+def _too_few(of_what: str, records: int) -> str:
+    return f"{records} records {of_what}within the turns, {_LEAST_RECORDS} are needed"
+
+
+def _verdict(contradiction: str, doubt: str) -> tuple[MotionVerdict, str]:
+    """Return the verdict and its reason from what contradicts an instrument and why it cannot be judged."""
+    if contradiction:
+        return MotionVerdict.CONTRADICTED, contradiction
+    return (MotionVerdict.UNCHECKED, doubt) if doubt else (MotionVerdict.CONSISTENT, "")
 
 
 def _response(
-    data: CalibrationInput,
-    records: list[TelemetryRecord],
-    axes: FloatArray,
-    spacecraft: Spacecraft,
-    config: CalibrationConfig,
+    data: CalibrationInput, records: list[TelemetryRecord], spacecraft: Spacecraft, config: CalibrationConfig
 ) -> MomentumResponse:
     """Return the response of the records to the turns."""
-    epochs_us = np.array([one.epoch_us for one in records], dtype=np.int64)
+    epochs_us = epochs_of(records)
     yaw, roll, pitch = angle_inertia_kg_m2(spacecraft)
     return momentum_response(
         (epochs_us - epochs_us[0]) / US_PER_S,
-        np.array([one.wheel_momentum_n_m_s for one in records]) @ axes,
-        _angles(data, epochs_us, config),
+        np.array([one.wheel_momentum_n_m_s for one in records]) @ np.array(spacecraft.wheels.axes),
+        data.angles_deg(epochs_us, config),
         _is_slewing(data, epochs_us, config),
         np.array([bool(one.thrusters_active) for one in records], dtype=np.bool_),
         np.array([roll, pitch, yaw]),
     )
 
 
-def _angles(data: CalibrationInput, epochs_us: IntArray, config: CalibrationConfig) -> FloatArray:
-    return angles_at(epochs_us, data.quiet_references + data.references, data.sensors, config)
-
-
 def _is_slewing(data: CalibrationInput, epochs_us: IntArray, config: CalibrationConfig) -> BoolArray:
     """Return at which epochs (K,) the spacecraft slews; an angle that is not known counts as still."""
-    before, after = (_angles(data, epochs_us + shift_us, config) for shift_us in (-_HALF_US, _HALF_US))
+    before, after = (data.angles_deg(epochs_us + shift_us, config) for shift_us in (-_HALF_US, _HALF_US))
     return np.asarray((np.abs(after - before) > _SLEW_DEG).any(axis=1))
 
 
 def _judged(response: MomentumResponse, stated: WheelMomentum, config: CalibrationConfig) -> AxesCheck:
     """Return what the response says of the telemetry."""
-    sigmas = response.deviation(stated.scale_error)
-    pitch = float(response.mean_n_m_s[1])
-    bias, limit = stated.pitch_bias_n_m_s, config.momentum_bias_share
-    if sigmas > _SIGMAS:
-        return _check(response, MotionVerdict.CONTRADICTED, _contradiction(response, sigmas))
-    if bias is not None and abs(bias) >= _LEAST_N_M_S and abs(pitch - bias) > limit * abs(bias):
-        reason = f"{pitch:.3g} N m s along pitch on average, onboard.momentum.pitch_bias_n_m_s states {bias:g}"
-        return _check(response, MotionVerdict.CONTRADICTED, reason)
-    if not response.is_determined:
-        return _check(response, MotionVerdict.UNCHECKED, _why_undetermined(response))
-    if bias is None:
+    pitch, bias = float(response.mean_n_m_s[1]), stated.pitch_bias_n_m_s
+    contradiction = _contradiction(response, response.deviation(stated.scale_error))
+    least_n_m_s = math.inf if bias is None or abs(bias) < _LEAST_N_M_S else config.momentum_bias_share * abs(bias)
+    if not contradiction and abs(pitch - (bias or 0.0)) > least_n_m_s:
+        contradiction = f"{pitch:.3g} N m s along pitch on average, onboard.momentum.pitch_bias_n_m_s states {bias:g}"
+    verdict, reason = _verdict(contradiction, "" if response.is_determined else _why_undetermined(response))
+    if verdict is MotionVerdict.CONSISTENT and bias is None:
         reason = (
             "a unit or a sign that all axes share stays unproven; state onboard.momentum.pitch_bias_n_m_s, the "
             f"momentum along pitch that unloadings restore (reported {pitch:.3g} N m s)"
         )
-        return _check(response, MotionVerdict.CONSISTENT, reason)
-    return _check(response, MotionVerdict.CONSISTENT, "")
+    roll, pitch_scale, yaw = response.coefficient.tolist()
+    roll_sigma, pitch_sigma, yaw_sigma = response.sigma.tolist()
+    return AxesCheck(verdict, reason, (roll, pitch_scale, yaw), (roll_sigma, pitch_sigma, yaw_sigma))
 
 
 def _why_undetermined(response: MomentumResponse) -> str:
@@ -168,23 +159,15 @@ def _why_undetermined(response: MomentumResponse) -> str:
 
 
 def _contradiction(response: MomentumResponse, sigmas: float) -> str:
-    """Return what contradicts the telemetry, with its figures."""
+    """Return what contradicts the telemetry, with its figures; empty = nothing."""
+    if not sigmas > _SIGMAS:
+        return ""
     figures = ", ".join(
         f"{axis} {value:+.2f} +- {sigma:.2f}"
         for axis, value, sigma in zip(("roll", "pitch", "yaw"), response.coefficient, response.sigma, strict=True)
         if math.isfinite(sigma)
     )
     return f"its response to the turns is off by {sigmas:.1f} sigma ({figures}; each must be +1)"
-
-
-def _check(response: MomentumResponse, verdict: MotionVerdict, reason: str) -> AxesCheck:
-    roll, pitch, yaw = response.coefficient.tolist()
-    roll_sigma, pitch_sigma, yaw_sigma = response.sigma.tolist()
-    return AxesCheck(verdict, reason, (roll, pitch, yaw), (roll_sigma, pitch_sigma, yaw_sigma))
-
-
-def _unchecked(reason: str) -> AxesCheck:
-    return AxesCheck(MotionVerdict.UNCHECKED, reason)
 
 
 _US_PER_H = 3.6e9
@@ -209,14 +192,12 @@ def rate_check(data: CalibrationInput, config: CalibrationConfig) -> AxesCheck |
     within = (one for one in data.telemetry if turns.start_us <= one.epoch_us < turns.stop_us)
     records = {one.epoch_us: one.body_rate_deg_s for one in within if one.body_rate_deg_s is not None}
     if len(records) < _LEAST_RECORDS:
-        return AxesCheck(
-            MotionVerdict.UNCHECKED, f"{len(records)} records of rates within the turns, {_LEAST_RECORDS} are needed"
-        )
+        return AxesCheck(MotionVerdict.UNCHECKED, _too_few("of rates ", len(records)))
     epochs_us = np.array(sorted(records), dtype=np.int64)
     response = rate_response(
         (epochs_us - epochs_us[0]) / _US_PER_H,
         inertial_deg_h([records[epoch_us] for epoch_us in epochs_us.tolist()]),
-        angles_at(epochs_us, data.quiet_references + data.references, data.sensors, config),
+        data.angles_deg(epochs_us, config),
     )
     return _judged_rates(response, sensor.bias_deg_h)
 
@@ -225,28 +206,23 @@ def rate_warnings(data: CalibrationInput, check: AxesCheck | None) -> tuple[str,
     """Return the warnings of a check."""
     if is_rate_in_loop(data.spacecraft):
         return (IN_LOOP,)
-    if check is None or not check.reason:
-        return ()
-    if check.verdict is MotionVerdict.CONTRADICTED:
-        return (f"the rates of the body in telemetry are refused: {check.reason}; {_RATES_NEXT}",)
-    return (f"the rates of the body in telemetry were not checked: {check.reason}",)
+    return _warnings("the rates of the body in telemetry", ("are", "were"), check, _RATES_NEXT)
 
 
 def _judged_rates(response: RateResponse, bias_deg_h: float) -> AxesCheck:
     """Return what the response says of the telemetry."""
-    sigmas = response.deviation(bias_deg_h)
     values, sigma = (part.diagonal()[list(_NAMED)].tolist() for part in (response.coefficient, response.sigma))
-    figures = (values[0], values[1], values[2]), (sigma[0], sigma[1], sigma[2])
-    if sigmas > _SIGMAS:
-        return AxesCheck(MotionVerdict.CONTRADICTED, _rates_contradiction(response, sigmas), *figures)
-    if not response.is_determined:
-        reason = "rates that stand still, or too few turns: the response of an axis is known worse than to 0.2"
-        return AxesCheck(MotionVerdict.UNCHECKED, reason, *figures)
-    return AxesCheck(MotionVerdict.CONSISTENT, "", *figures)
+    doubt = "rates that stand still, or too few turns: the response of an axis is known worse than to 0.2"
+    verdict, reason = _verdict(
+        _rates_contradiction(response, response.deviation(bias_deg_h)), "" if response.is_determined else doubt
+    )
+    return AxesCheck(verdict, reason, (values[0], values[1], values[2]), (sigma[0], sigma[1], sigma[2]))
 
 
 def _rates_contradiction(response: RateResponse, sigmas: float) -> str:
-    """Return what contradicts the telemetry, with its figures."""
+    """Return what contradicts the telemetry, with its figures; empty = nothing."""
+    if not sigmas > _SIGMAS:
+        return ""
     axes = ("yaw", "roll", "pitch")
     rows = (
         f"turns about {axis} by " + ", ".join(f"{name} {value:+.2f}" for name, value in zip(axes, row, strict=True))
@@ -310,9 +286,8 @@ def _polarimeter_check(
     """Return the check of one polarimeter."""
     source, records = polarimeter.source, _polarization(data, polarimeter, data.request.turns)
     if len(records) < _LEAST_RECORDS:
-        reason = f"{len(records)} records within the turns, {_LEAST_RECORDS} are needed"
-        return PolarimeterCheck(source, MotionVerdict.UNCHECKED, reason)
-    epochs_us = np.array([one.epoch_us for one in records], dtype=np.int64)
+        return PolarimeterCheck(source, MotionVerdict.UNCHECKED, _too_few("", len(records)))
+    epochs_us = epochs_of(records)
     measured = np.array([measured_angle_deg(one, polarimeter) for one in records])
     expected = _expected_deg(data, config, spacecraft, polarimeter, epochs_us)
     response = angle_response((epochs_us - epochs_us[0]) / _US_PER_H, measured, expected)
@@ -335,7 +310,7 @@ def _feed(
     records = _polarization(data, polarimeter, *windows)
     if any(one.ratio_db is None or one.feed_offset_deg is not None for one in records):
         return None
-    epochs_us = np.array([one.epoch_us for one in records], dtype=np.int64)
+    epochs_us = epochs_of(records)
     expected = _expected_deg(data, config, spacecraft, polarimeter, epochs_us)
     left = [
         _less(one, polarimeter, angle_deg)
@@ -388,20 +363,17 @@ def _expected_deg(
 ) -> FloatArray:
     """Return the angle (K,) about the line of sight by the sensors and the orbit, deg."""
     sight = line_of_sight(spacecraft, polarimeter)
-    angles = angles_at(epochs_us, data.quiet_references + data.references, data.sensors, config)
+    angles = data.angles_deg(epochs_us, config)
     return np.asarray(angles @ np.array(sight) + orbit_turn_deg(data.ephemeris, spacecraft, sight, epochs_us))
 
 
 def _judged_angle(source: str, response: AngleResponse) -> PolarimeterCheck:
     """Return what the response says of a polarimeter."""
-    figures, sigmas = (response.coefficient, response.sigma), response.deviation()
+    sigmas, contradiction = response.deviation(), ""
     if sigmas > _SIGMAS:
-        reason = (
+        contradiction = (
             f"its angle follows the turns by {response.coefficient:+.2f} +- {response.sigma:.2f}, which must be +1 "
             f"({sigmas:.1f} sigma)"
         )
-        return PolarimeterCheck(source, MotionVerdict.CONTRADICTED, reason, *figures)
-    if not response.is_determined:
-        reason = "too few turns in yaw: the response is known worse than to 0.2"
-        return PolarimeterCheck(source, MotionVerdict.UNCHECKED, reason, *figures)
-    return PolarimeterCheck(source, MotionVerdict.CONSISTENT, "", *figures)
+    doubt = "" if response.is_determined else "too few turns in yaw: the response is known worse than to 0.2"
+    return PolarimeterCheck(source, *_verdict(contradiction, doubt), response.coefficient, response.sigma)

@@ -160,7 +160,7 @@ def _about_lag(data: CalibrationInput, rows: GeometryRows, joint: JointFit, is_u
     if size_s > max(_BEARABLE_S, _SIGMAS * sigma_s):
         return f"{text}: correct the clock or the time zone of one of them, or name its epochs as it means them"
     error_deg = _lag_error_deg(rows, size_s)
-    sigma_db = np.hypot(joint.noise.white_db, np.sqrt(np.square(joint.noise.sigma_db).sum(axis=1)))
+    sigma_db = np.hypot(joint.noise.white_db, joint.noise.slow_db)
     sigma_deg = np.asarray(crlb_deg(joint.response.slope[is_used], sigma_db[is_used], with_common=True))
     worst = int(np.argmax(error_deg / sigma_deg))
     if not error_deg[worst] > _BEARABLE_SHARE * sigma_deg[worst]:

@@ -11,18 +11,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.calibration.daily_fit import DailyFits, fit_daily
 from service.core.estimation.calibration.geometry_columns import OrbitMotion, daily_columns
+from service.core.estimation.calibration.joint_tukey import DailyFits, fit_daily
 from service.core.estimation.paper.harmonic import HarmonicFits, fit_harmonics
 from service.core.geometry.line_of_sight import (
     Positions,
-    PredictedTrack,
-    latest_node_us,
-    node_phase_rad,
     sight_motion_deg,
     track_position_deg,
 )
+from service.pipeline.calibration.geometry_rows import node_us, phase_rad
 from service.pipeline.config import CalibrationConfig
+from service.pipeline.inputs.polarization import predicted_track
 from service.records.calibration import Harmonic
 from service.records.catalogue import Carrier, Ephemeris
 from service.records.levels.attitude import FloatArray, IntArray
@@ -62,28 +61,34 @@ class CarrierHarmonic(NamedTuple):
     is_converged: bool
 
 
-class _Waves(NamedTuple):
-    """Level, first and second harmonic of one carrier with their covariance, and how they were found."""
-
-    #: (5,) h, cosine and sine of the phase, cosine and sine of twice the phase
-    value: FloatArray
-    #: (5, 5)
-    covariance: FloatArray
-
-
 def paper_harmonics(
     series: MeasurementSeries, ephemeris: Ephemeris, stop_us: int, config: CalibrationConfig
 ) -> tuple[CarrierHarmonic, ...]:
     """Return the published fit of every carrier; ``stop_us`` is the end of the window."""
     fits = fit_harmonics(
-        _phase_rad(series, ephemeris),
+        phase_rad(ephemeris, series.epochs_us),
         series.power_dbm,
         max_iterations=config.harmonic.max_iterations,
         gate_sigma=config.harmonic.gate_sigma,
     )
-    node_us = _node_us(series, ephemeris, stop_us)
+    start_us = node_us(ephemeris, int(series.epochs_us[-1]) if len(series.epochs_us) else stop_us - 1)
     return tuple(
-        _paper_carrier(k, n, fits, ephemeris.nodal_period_s, node_us) for k, n in enumerate(series.carrier_ids)
+        _paper_carrier(name, fitted_harmonic(fits, k, ephemeris.nodal_period_s, start_us), fits, k)
+        for k, name in enumerate(series.carrier_ids)
+    )
+
+
+def fitted_harmonic(fits: HarmonicFits, k: int, period_s: float, start_us: int) -> Harmonic:
+    """Return the published harmonic of the k-th carrier as it is stored, its phase counted from a node."""
+    return Harmonic(
+        float(fits.amplitude_db[k]),
+        float(fits.phase_rad[k]),
+        float(fits.offset_dbm[k]),
+        period_s,
+        start_us,
+        float(fits.rms_db[k]),
+        int(fits.samples_used[k]),
+        int(fits.samples_rejected[k]),
     )
 
 
@@ -95,65 +100,48 @@ def robust_harmonics(
     longitude_deg: float,
 ) -> tuple[CarrierHarmonic, ...]:
     """Return the robust fit of every carrier; ``carriers`` are those of the series, in its order."""
-    phase_rad = _phase_rad(series, ephemeris)
-    waves = daily_columns(None, phase_rad, len(carriers))
+    phase = phase_rad(ephemeris, series.epochs_us)
+    waves = daily_columns(None, phase, len(carriers))
     sight = _sight_deg(series.epochs_us, ephemeris, carriers, longitude_deg)
     is_dish = np.isfinite(sight).all(axis=2).sum(axis=0) > _MIN_COVERED * len(sight)
-    dish = daily_columns(OrbitMotion(sight, sight), phase_rad, len(carriers))
-    node_us = _node_us(series, ephemeris, stop_us)
+    dish = daily_columns(OrbitMotion(sight, sight), phase, len(carriers))
+    start_us = node_us(ephemeris, int(series.epochs_us[-1]) if len(series.epochs_us) else stop_us - 1)
     reported: dict[int, CarrierHarmonic] = {}
     for columns, chosen in ((waves, np.flatnonzero(~is_dish)), (dish, np.flatnonzero(is_dish))):
         fits = fit_daily(columns[:, chosen], series.power_dbm[:, chosen].astype(np.float64))
         for position, k in enumerate(chosen.tolist()):
-            harmonic = _as_waves(fits, columns[:, k], waves[:, k], position)
+            curve = _as_waves(fits, columns[:, k], waves[:, k], position)
             law = _dish_law(fits, position) if is_dish[k] else None
             name, period_s = carriers[k].id, ephemeris.nodal_period_s
-            reported[k] = _robust_carrier(name, harmonic, fits, law, position, period_s, node_us)
+            reported[k] = _robust_carrier(name, curve, fits, law, position, period_s, start_us)
     return tuple(reported[k] for k in range(len(carriers)))
-
-
-def _phase_rad(series: MeasurementSeries, ephemeris: Ephemeris) -> FloatArray:
-    """Return the node's phase (T,) of the rows."""
-    nodes_us = np.array(ephemeris.ascending_nodes_us, dtype=np.int64)
-    return node_phase_rad(series.epochs_us, nodes_us, ephemeris.nodal_period_s)
-
-
-def _node_us(series: MeasurementSeries, ephemeris: Ephemeris, stop_us: int) -> int:
-    """Return the ascending node from which the phase of the newest row is counted."""
-    last_us = series.epochs_us[-1:] if len(series.epochs_us) else np.array([stop_us - 1])
-    nodes_us = np.array(ephemeris.ascending_nodes_us, dtype=np.int64)
-    return int(latest_node_us(last_us, nodes_us, ephemeris.nodal_period_s)[0])
 
 
 def _sight_deg(
     epochs_us: IntArray, ephemeris: Ephemeris, carriers: Sequence[Carrier], longitude_deg: float
 ) -> FloatArray:
     """Return the satellite's motion in the sky of each carrier's station (T, N, 2); NaN where it is not known."""
-    reported = ephemeris.track
-    if reported is None:
+    if ephemeris.track is None:
         return np.full((len(epochs_us), len(carriers), 2), np.nan)
-    track = PredictedTrack(
-        np.array(reported.epochs_us, dtype=np.int64), np.array(reported.latitude_deg), np.array(reported.longitude_deg)
-    )
     placed = [
         (np.nan, np.nan) if carrier.station is None else (carrier.station.latitude_deg, carrier.station.longitude_deg)
         for carrier in carriers
     ]
     latitudes, longitudes = np.array(placed, dtype=np.float64).reshape(-1, 2).T
     positions = Positions(latitudes, longitudes, np.zeros(len(carriers)))
-    return sight_motion_deg(track_position_deg(track, epochs_us), positions, longitude_deg)
+    return sight_motion_deg(track_position_deg(predicted_track(ephemeris.track), epochs_us), positions, longitude_deg)
 
 
-def _as_waves(fits: DailyFits, columns: FloatArray, waves: FloatArray, k: int) -> _Waves:
-    """Return a fit as level and two harmonics: those of its curve over the rows that it covers."""
+def _as_waves(fits: DailyFits, columns: FloatArray, waves: FloatArray, k: int) -> tuple[FloatArray, FloatArray]:
+    """Return level, cosine and sine of the phase and of twice the phase (5,) of a curve, and covariance (5, 5)."""
     is_known = np.isfinite(columns).all(axis=1) & np.isfinite(waves).all(axis=1)
     if not is_known.any() or np.isnan(fits.coefficients[k]).any():
-        return _Waves(np.full(5, np.nan), np.full((5, 5), np.nan))
+        return np.full(5, np.nan), np.full((5, 5), np.nan)
     ones = np.ones((int(np.count_nonzero(is_known)), 1))
     basis = np.concatenate([ones, waves[is_known]], axis=1)
     own = np.concatenate([ones, columns[is_known]], axis=1)
     change = np.linalg.lstsq(basis, own, rcond=None)[0]
-    return _Waves(change @ fits.coefficients[k], change @ fits.covariance[k] @ change.T)
+    return change @ fits.coefficients[k], change @ fits.covariance[k] @ change.T
 
 
 def _dish_law(fits: DailyFits, k: int) -> DishLaw | None:
@@ -165,61 +153,40 @@ def _dish_law(fits: DailyFits, k: int) -> DishLaw | None:
 
 
 def _robust_carrier(
-    name: str, waves: _Waves, fits: DailyFits, dish: DishLaw | None, k: int, period_s: float, node_us: int
+    name: str,
+    curve: tuple[FloatArray, FloatArray],
+    fits: DailyFits,
+    dish: DishLaw | None,
+    k: int,
+    period_s: float,
+    start_us: int,
 ) -> CarrierHarmonic:
     """Return the k-th carrier's daily change as it is told."""
-    amplitude_db, phase_rad = _polar(waves.value[1:3])
-    second_db, second_rad = _polar(waves.value[3:5])
-    harmonic = Harmonic(
-        amplitude_db,
-        phase_rad,
-        float(waves.value[0]),
-        period_s,
-        node_us,
-        float(fits.rms_db[k]),
-        int(fits.samples_used[k]),
-        int(fits.samples_rejected[k]),
-    )
+    (level, *wave), covariance = curve
+    amplitude_db, phase_rad = _polar(*wave[:2])
+    counts = float(fits.rms_db[k]), int(fits.samples_used[k]), int(fits.samples_rejected[k])
     return CarrierHarmonic(
         name,
         "two_harmonics" if dish is None else "dish_law",
-        harmonic,
-        *_sigmas(waves.covariance[:3, :3], amplitude_db, phase_rad),
-        second_amplitude_db=second_db,
-        second_phase_rad=second_rad,
-        dish=dish,
+        Harmonic(amplitude_db, phase_rad, float(level), period_s, start_us, *counts),
+        *_sigmas(covariance[:3, :3], amplitude_db, phase_rad),
+        *_polar(*wave[2:]),
+        dish,
         is_converged=bool(fits.converged[k]),
     )
 
 
-def _paper_carrier(k: int, name: str, fits: HarmonicFits, period_s: float, node_us: int) -> CarrierHarmonic:
+def _paper_carrier(name: str, harmonic: Harmonic, fits: HarmonicFits, k: int) -> CarrierHarmonic:
     """Return the k-th carrier's published harmonic as it is told."""
-    amplitude_db, phase_rad = float(fits.amplitude_db[k]), float(fits.phase_rad[k])
-    harmonic = Harmonic(
-        amplitude_db,
-        phase_rad,
-        float(fits.offset_dbm[k]),
-        period_s,
-        node_us,
-        float(fits.rms_db[k]),
-        int(fits.samples_used[k]),
-        int(fits.samples_rejected[k]),
-    )
+    sigmas = _sigmas(fits.covariance[k], harmonic.amplitude_db, harmonic.phase_rad)
     return CarrierHarmonic(
-        name,
-        "one_harmonic",
-        harmonic,
-        *_sigmas(fits.covariance[k], amplitude_db, phase_rad),
-        second_amplitude_db=float("nan"),
-        second_phase_rad=float("nan"),
-        dish=None,
-        is_converged=bool(fits.converged[k]),
+        name, "one_harmonic", harmonic, *sigmas, np.nan, np.nan, None, is_converged=bool(fits.converged[k])
     )
 
 
-def _polar(wave: FloatArray) -> tuple[float, float]:
+def _polar(cosine: float, sine: float) -> tuple[float, float]:
     """Return amplitude and phase of ``a1 cos + a2 sin = am cos(. + phi)``."""
-    return float(np.hypot(wave[0], wave[1])), float(np.arctan2(-wave[1], wave[0]))
+    return float(np.hypot(cosine, sine)), float(np.arctan2(-sine, cosine))
 
 
 def _sigmas(covariance: FloatArray, amplitude_db: float, phase_rad: float) -> tuple[float, float, float]:

@@ -8,7 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from service.core.compiled_entry import CompiledEntry
-from service.core.estimation.calibration.geometry_calibration import GeometryCalibration, predict_level_dbm, response_of
+from service.core.estimation.calibration.geometry_calibration import (
+    GeometryCoefficients,
+    predict_level_dbm,
+    response_of,
+)
 from service.core.estimation.calibration.geometry_columns import (
     BEAM_SIZE,
     CarrierGeometry,
@@ -16,17 +20,16 @@ from service.core.estimation.calibration.geometry_columns import (
     QuadraticResponse,
     daily_columns,
 )
-from service.core.estimation.calibration.whitened_fit import ColouredNoise
 from service.core.estimation.filtering.filter_model import CarrierModel
 from service.core.geometry.line_of_sight import (
     Positions,
-    PredictedTrack,
     antenna_motion_deg,
     node_phase_rad,
     sight_motion_deg,
     track_position_deg,
 )
 from service.pipeline.config import RobustConfig
+from service.pipeline.inputs.polarization import predicted_track
 from service.records.calibration import CarrierCalibration, GeometryFit, NoiseComponent
 from service.records.catalogue import Ephemeris
 from service.records.epoch import US_PER_S
@@ -41,14 +44,14 @@ _UNKNOWN_NOISE = (NoiseComponent(1200.0, 0.09),)
 class GeometryModel(NamedTuple):
     """Calibration of N carriers by geometry, as arrays."""
 
-    calibration: GeometryCalibration
+    calibration: GeometryCoefficients
     geometry: CarrierGeometry
     #: stations and, last, the receiving site
     positions: Positions
     response: QuadraticResponse
 
 
-def geometry_model(fit: GeometryFit, carriers: tuple[CarrierCalibration, ...]) -> GeometryModel:
+def geometry_model(fit: GeometryFit, carriers: tuple[CarrierCalibration, ...]) -> GeometryModel:  # noqa: ARG001 as given
     """Return the arrays of a calibration."""
     azimuth_deg, elevation_deg = np.array(fit.station_azimuth_deg), np.array(fit.station_elevation_deg)
     is_beacon = np.isnan(azimuth_deg)
@@ -57,7 +60,7 @@ def geometry_model(fit: GeometryFit, carriers: tuple[CarrierCalibration, ...]) -
     geometry = CarrierGeometry(
         np.where(is_beacon, site_deg[0], azimuth_deg), np.where(is_beacon, site_deg[1], elevation_deg), site_deg, band
     )
-    calibration = _core_calibration(fit, carriers, is_beacon)
+    calibration = _coefficients(fit, is_beacon)
     latitude_deg, longitude_deg, height_m = fit.site_position
     positions = Positions(
         np.append(np.where(is_beacon, latitude_deg, np.array(fit.station_latitude_deg)), latitude_deg),
@@ -67,9 +70,7 @@ def geometry_model(fit: GeometryFit, carriers: tuple[CarrierCalibration, ...]) -
     return GeometryModel(calibration, geometry, positions, response_of(calibration, geometry))
 
 
-def _core_calibration(
-    fit: GeometryFit, carriers: tuple[CarrierCalibration, ...], is_beacon: FloatArray
-) -> GeometryCalibration:
+def _coefficients(fit: GeometryFit, is_beacon: FloatArray) -> GeometryCoefficients:
     """Return the fit with the beams of beacons made of their band's downlink."""
     gradient, hessian = np.array(fit.gradient, dtype=np.float64), np.array(fit.hessian, dtype=np.float64)
     downlink = np.array(fit.downlink, dtype=np.float64).reshape(-1, 2)
@@ -82,8 +83,7 @@ def _core_calibration(
         gradient[k], hessian[k] = downlink[fit.band[k]], 0.0
         covariance[k, beam], covariance[k, :, beam], gain[k] = 0.0, 0.0, 0.0
         covariance[k, beam.start : beam.start + 2, beam.start : beam.start + 2] = downlink_covariance[own, own]
-    nothing = np.zeros(len(carriers))
-    return GeometryCalibration(
+    return GeometryCoefficients(
         level_dbm=np.array(fit.level_dbm),
         daily=np.nan_to_num(np.array(fit.daily, dtype=np.float64)),
         gradient=gradient,
@@ -92,11 +92,6 @@ def _core_calibration(
         covariance=covariance,
         downlink_covariance=downlink_covariance,
         downlink_gain=gain,
-        noise=ColouredNoise(nothing, nothing[:, None], nothing[:, None]),
-        residual_rms_db=nothing,
-        residual_db=np.zeros((0, len(carriers))),
-        weight=np.zeros((0, len(carriers))),
-        stretches_used=nothing.astype(np.int64),
         is_dish_law=fit.is_dish_law,
     )
 
@@ -167,10 +162,7 @@ def _motion(model: GeometryModel, fit: GeometryFit, ephemeris: Ephemeris, epochs
     """Return the motion of the satellite by the track at some epochs, None without a track."""
     if ephemeris.track is None:
         return None
-    reported = ephemeris.track
-    track = PredictedTrack(
-        np.array(reported.epochs_us, dtype=np.int64), np.array(reported.latitude_deg), np.array(reported.longitude_deg)
-    )
+    track = predicted_track(ephemeris.track)
     stations = Positions(*(values[:-1] for values in model.positions))
     sight = sight_motion_deg(track_position_deg(track, epochs_us), stations, fit.nominal_longitude_deg)
     return OrbitMotion(sight, antenna_motion_deg(track, epochs_us, model.positions, fit.nominal_longitude_deg))

@@ -120,12 +120,12 @@ def orbit_turn_deg(
     """Return what the orbit turns a body about a line of sight (T,), deg; 0 without a track, NaN beyond it."""
     if ephemeris is None or ephemeris.track is None:
         return np.zeros(len(epochs_us))
-    track = _predicted(ephemeris.track)
+    track = predicted_track(ephemeris.track)
     return np.asarray(frame_turn_deg(track, epochs_us, spacecraft.longitude_deg) @ np.array(sight))
 
 
 @lru_cache(maxsize=64)
-def _predicted(track: Track) -> PredictedTrack:
+def predicted_track(track: Track) -> PredictedTrack:
     """Return a track as arrays; nobody may write to them."""
     epochs_us = np.array(track.epochs_us, dtype=np.int64)
     return PredictedTrack(epochs_us, np.array(track.latitude_deg), np.array(track.longitude_deg))

@@ -15,14 +15,14 @@ from typing import NamedTuple
 import numpy as np
 
 from service.core.estimation.calibration.whitened_fit import ColouredNoise
-from service.core.estimation.calibration_turns import recommended_turns
 from service.core.estimation.design import (
-    AXIS_WEIGHTS,
     MIN_CARRIERS,
     MIN_REDUNDANCY,
     choose_carriers,
     largest_share,
     most_share,
+    recommended_turns,
+    weighted_variance_deg2,
 )
 from service.core.estimation.observability import SetStatistics, averaged_crlb_deg, crlb_deg, judge_set
 from service.core.estimation.paper.selection import AxisSelection, SelectionReason, axis_dominance, select_by_axis
@@ -115,11 +115,11 @@ def recommend(
     usable = candidates.is_usable
     sensitivity, sigma = candidates.sensitivity_db_per_deg, candidates.sigma_db
     numbers = candidates.transponder_numbers
-    design = choose_carriers(sensitivity, sigma, numbers, count, eligible=usable, level=candidates.level)
+    chosen = choose_carriers(sensitivity, sigma, numbers, count, eligible=usable, level=candidates.level)
     is_sound = usable & np.array([not refusal for refusal in candidates.paper_refusals], dtype=np.bool_)
     by_axis = select_by_axis(sensitivity, is_sound, count, yaw_scale=yaw_scale)
-    losses = _left_out_costs(candidates, design.chosen)
-    ordered = design.chosen[np.argsort(-losses, kind="stable")]
+    losses = _left_out_costs(candidates, chosen)
+    ordered = chosen[np.argsort(-losses, kind="stable")]
     sets = {
         Rule.OPTIMAL.value: judged_set(candidates, ordered),
         Rule.PAPER.value: judged_set(candidates, by_axis.chosen),
@@ -177,11 +177,8 @@ def _shortcomings(figures: SetStatistics, transponders: list[str], share: float)
 
 def _left_out_costs(candidates: Candidates, chosen: IntArray) -> FloatArray:
     """Return the weighted sum of variances (C,) when each carrier of a set is left out; infinite = all is lost."""
-    costs = []
-    for k in chosen:
-        bound = _bound_deg(candidates, chosen[chosen != k])
-        costs.append(float(np.sum(np.square(AXIS_WEIGHTS * bound))) if np.isfinite(bound).all() else math.inf)
-    return np.array(costs)
+    bounds_deg = [_bound_deg(candidates, chosen[chosen != k]) for k in chosen]
+    return weighted_variance_deg2(np.array(bounds_deg).reshape(-1, 3))
 
 
 def _bound_deg(candidates: Candidates, chosen: IntArray) -> FloatArray:
@@ -198,7 +195,7 @@ def _further(candidates: Candidates, chosen: IntArray, offered: Candidates | Non
     before_deg = _bound_deg(every, chosen)
     while len(found) < MOST_FURTHER and free.size:
         bounds_deg = np.array([_bound_deg(every, np.append(chosen, k)) for k in free])
-        costs = np.nan_to_num(np.square(bounds_deg * AXIS_WEIGHTS).sum(axis=1), nan=math.inf)
+        costs = weighted_variance_deg2(bounds_deg)
         best = int(np.argmin(costs))
         if not math.isfinite(costs[best]):
             break

@@ -10,7 +10,7 @@ import numpy as np
 
 from service.core.estimation.noise import allan_deviation_db
 from service.core.estimation.paper.harmonic import evaluate_harmonic
-from service.core.geometry.line_of_sight import node_phase_rad
+from service.pipeline.calibration.geometry_rows import phase_rad
 from service.pipeline.calibration.minute_rows import MinuteRows
 from service.pipeline.calibration.window_harmonics import CarrierHarmonic, robust_harmonics
 from service.pipeline.inputs.catalogue_checks import SIDEREAL_DAY_S
@@ -72,11 +72,9 @@ def quiet_levels(days: QuietDays) -> QuietLevels:
     series, ephemeris = days.rows.series, days.ephemeris
     stop_us = int(series.epochs_us[-1]) + 1
     fits = robust_harmonics(series, ephemeris, stop_us, days.plan.carriers, days.spacecraft.longitude_deg)
-    phase_rad = node_phase_rad(
-        series.epochs_us, np.array(ephemeris.ascending_nodes_us, dtype=np.int64), ephemeris.nodal_period_s
-    )
+    phase = phase_rad(ephemeris, series.epochs_us)
     first, second = (
-        evaluate_harmonic(turns * phase_rad, np.array(amplitude_db), np.array(at_rad))
+        evaluate_harmonic(turns * phase, np.array(amplitude_db), np.array(at_rad))
         for turns, amplitude_db, at_rad in (
             (1.0, [fit.harmonic.amplitude_db for fit in fits], [fit.harmonic.phase_rad for fit in fits]),
             (2.0, [fit.second_amplitude_db for fit in fits], [fit.second_phase_rad for fit in fits]),

@@ -23,7 +23,7 @@ from service.ports.storage import ARCHIVE, Alarms, Clock, Storage, Term
 from service.records.epoch import US_PER_S
 from service.records.operations.alarms import Alarm, AlarmChange, AlarmLimits, EngineMemory, Handling
 from service.runtime.alarms.clock_checks import ClockChecks
-from service.runtime.alarms.notifications import NoticeChannels
+from service.runtime.alarms.notifications import NoticeChannel
 from service.runtime.live.leadership import always, elsewhere
 from service.runtime.live.live_feed import Cursor, FeedEvent, LiveFeed, Seen
 from service.runtime.live.supervisor import StepFailures
@@ -121,7 +121,7 @@ class AlarmService:
         Where changes are published after they are stored.
     conditions : mapping
         Table of conditions.
-    notices : NoticeChannels
+    channels : sequence of NoticeChannel
         Who is told outside.
     check_period_s : float
         Time between looks at the clock.
@@ -139,7 +139,7 @@ class AlarmService:
         clock: Clock,
         feed: LiveFeed,
         conditions: Mapping[str, AlarmCondition],
-        notices: NoticeChannels,
+        channels: Sequence[NoticeChannel] = (),
         *,
         check_period_s: float = 2.0,
         stale_periods: float = 3.0,
@@ -152,7 +152,7 @@ class AlarmService:
         self._storage = storage
         self._clock = clock
         self._feed = feed
-        self._notices = notices
+        self.channels = channels
         self.conditions = conditions
         self._check_period_s = check_period_s
         self._checks = ClockChecks(storage, clock, stale_periods, failures or StepFailures())
@@ -166,14 +166,10 @@ class AlarmService:
         self._is_failing = False
         self._thread = threading.Thread(target=self._run, name="soo-alarms", daemon=True)
 
-    @property
-    def notices(self) -> NoticeChannels:
-        """Return the channels of notices."""
-        return self._notices
-
     def start(self) -> None:
         """Start the thread of the alarm checks."""
-        self._notices.start()
+        for channel in self.channels:
+            channel.start()
         self._thread.start()
 
     def stop(self) -> None:
@@ -182,7 +178,8 @@ class AlarmService:
         self._arrived.set()
         if self._thread.is_alive():
             self._thread.join()
-        self._notices.stop()
+        for channel in self.channels:
+            channel.stop()
 
     def on_rows(self, spacecraft_id: str, seen: Sequence[Seen]) -> None:
         """Take over rows and references; called from the supervisor's thread."""
@@ -346,7 +343,8 @@ class AlarmService:
                 [name for name in self._persisted_by_id if name is not None] if about is None else [about]
             ):
                 self._feed.publish(spacecraft_id, (event,))
-            self._notices.offer(change)
+            for channel in self.channels:
+                channel.offer(change)
 
     def _is_on_duty(self, spacecraft_id: str | None) -> bool:
         """Return whether this service leads a spacecraft; what another may have changed meanwhile is read again."""

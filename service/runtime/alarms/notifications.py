@@ -2,18 +2,29 @@
 
 A queue is bounded: what it has no place for is dropped, oldest first, and counted. What cannot be delivered after all
 attempts is counted too; an alarm that nobody acts on is told again by itself.
+
+Delivery: by e-mail, or by HTTP as a POST with a signature that tells the receiver who sent it. ``SOO-Timestamp`` is the
+time of sending in seconds, ``SOO-Signature`` is ``sha256=`` and the hexadecimal HMAC-SHA256 of timestamp, a dot and the
+body under the shared secret. A receiver refuses old timestamps, so nothing can be sent twice by a stranger, and drops a
+``sequence`` that it has seen: an attempt whose answer was lost is made again.
 """
 
+import hmac
+import json
 import logging
+import smtplib
+import ssl
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from email.message import EmailMessage
+from hashlib import sha256
 from typing import Any
 
 from service.client.backoff import Backoff
 from service.pipeline.alarms.states import AlarmCondition
-from service.records.epoch import format_epoch
+from service.records.epoch import US_PER_S, format_epoch
 from service.records.operations.alarms import AlarmChange, Severity
 
 _LOG = logging.getLogger("soo.notices")
@@ -37,7 +48,6 @@ class NoticeCounts:
     """Counters of the notices of one channel."""
 
     sent: int = 0
-    #: attempts that failed
     #: given up after all attempts, or refused by the receiver
     failed: int = 0
     #: no place in the queue
@@ -147,28 +157,6 @@ class NoticeChannel:
                 return
 
 
-class NoticeChannels:
-    """All channels as one."""
-
-    def __init__(self, channels: Sequence[NoticeChannel] = ()) -> None:
-        self.channels = tuple(channels)
-
-    def start(self) -> None:
-        """Start every channel."""
-        for channel in self.channels:
-            channel.start()
-
-    def stop(self) -> None:
-        """Stop every channel."""
-        for channel in self.channels:
-            channel.stop()
-
-    def offer(self, change: AlarmChange) -> None:
-        """Offer a change to every channel."""
-        for channel in self.channels:
-            channel.offer(change)
-
-
 def notice_of(change: AlarmChange, conditions: Mapping[str, AlarmCondition]) -> dict[str, Any]:
     """Return a notice: JSON without NaN, epochs as in the interface."""
     alarm, condition = change.alarm, conditions.get(change.alarm.condition)
@@ -198,3 +186,131 @@ def notice_of(change: AlarmChange, conditions: Mapping[str, AlarmCondition]) -> 
 def _finite(value: float) -> float | None:
     """Return None for what JSON cannot tell."""
     return value if abs(value) < float("inf") else None
+
+
+#: what is worth a letter; who acknowledges an alarm knows of it
+_REPORTED = frozenset({"raised", "escalated", "repeated", "returned", "unshelved", "released"})
+_FINAL_CODES = range(500, 600)
+
+
+@dataclass(frozen=True, slots=True)
+class MailRoute:
+    """Mail server, sender and recipients of notices."""
+
+    host: str
+    port: int
+    sender: str
+    receivers: tuple[str, ...]
+    #: none, starttls or tls
+    security: str = "starttls"
+    user: str = ""
+    password: str = ""
+    timeout_s: float = 15.0
+
+
+class Mail:
+    """Delivers notices as letters.
+
+    Parameters
+    ----------
+    route : MailRoute
+        Where to.
+    """
+
+    def __init__(self, route: MailRoute) -> None:
+        self._route = route
+
+    def deliver(self, notice: dict[str, Any]) -> None:
+        """Deliver one notice; DeliveryError is final where the server refuses for good."""
+        if notice["change"] not in _REPORTED:
+            return
+        try:
+            with self._connection() as connection:
+                if self._route.user:
+                    connection.login(self._route.user, self._route.password)
+                connection.send_message(self._letter(notice))
+        except smtplib.SMTPResponseException as error:
+            raise DeliveryError(
+                f"server answered {error.smtp_code}", is_final=error.smtp_code in _FINAL_CODES
+            ) from None
+        except (smtplib.SMTPException, OSError) as error:
+            raise DeliveryError(type(error).__name__) from None
+
+    def _connection(self) -> smtplib.SMTP:
+        """Return an open connection."""
+        route = self._route
+        if route.security == "tls":
+            context = ssl.create_default_context()
+            return smtplib.SMTP_SSL(route.host, route.port, timeout=route.timeout_s, context=context)
+        connection = smtplib.SMTP(route.host, route.port, timeout=route.timeout_s)
+        if route.security == "starttls":
+            connection.starttls(context=ssl.create_default_context())
+        return connection
+
+    def _letter(self, notice: dict[str, Any]) -> EmailMessage:
+        """Return the letter of a notice."""
+        letter = EmailMessage()
+        about = notice["spacecraft_id"] or "service"
+        subject = f"[{notice['severity']}] {about}: {notice['condition']} {notice['thing']} {notice['change']}"
+        letter["Subject"] = " ".join(subject.split())[:200]
+        letter["From"] = self._route.sender
+        letter["To"] = ", ".join(self._route.receivers)
+        lines = [
+            notice["detail"],
+            "",
+            f"What to do: {notice['next_step']}",
+            "",
+            f"alarm {notice['alarm_id']}, {notice['state']}, {notice['change']} at {notice['at']}",
+            f"POST /api/v1/alarms/{notice['alarm_id']}:acknowledge tells others that you have seen it.",
+        ]
+        letter.set_content("\n".join(lines))
+        return letter
+
+
+TIMEOUT_S = 10.0
+
+
+class Webhook:
+    """Delivers notices to one address.
+
+    Parameters
+    ----------
+    url : str
+        Where to.
+    secret : str
+        Shared with the receiver; empty: nothing is signed.
+    now_us : callable
+        The system's present, microseconds UTC.
+    timeout_s : float
+        Longest time for each part of an exchange.
+    """
+
+    def __init__(self, url: str, secret: str, now_us: Callable[[], int], timeout_s: float = TIMEOUT_S) -> None:
+        self._url = url
+        self._secret = secret.encode()
+        self._now_us = now_us
+        self._timeout_s = timeout_s
+
+    def deliver(self, notice: dict[str, Any]) -> None:
+        """Deliver one notice; DeliveryError is final for a 4xx other than 408, 425 and 429."""
+        # a tenth of a second of the start of a service that most often has no webhook
+        import httpx
+
+        body = json.dumps(notice, allow_nan=False, ensure_ascii=False).encode()
+        headers = {"Content-Type": "application/json", **self._signature(body)}
+        try:
+            answer = httpx.post(self._url, content=body, headers=headers, timeout=self._timeout_s)
+        except (httpx.HTTPError, httpx.InvalidURL, OSError) as error:
+            # the text of the error may hold the address, and the address a secret
+            raise DeliveryError(type(error).__name__) from None
+        if not answer.is_success:
+            is_final = 400 <= answer.status_code < 500 and answer.status_code not in {408, 425, 429}
+            raise DeliveryError(f"answered {answer.status_code}", is_final=is_final)
+
+    def _signature(self, body: bytes) -> dict[str, str]:
+        """Return the headers that sign a body."""
+        timestamp = str(self._now_us() // US_PER_S)
+        if not self._secret:
+            return {"SOO-Timestamp": timestamp}
+        digest = hmac.new(self._secret, timestamp.encode() + b"." + body, sha256).hexdigest()
+        return {"SOO-Timestamp": timestamp, "SOO-Signature": f"sha256={digest}"}

@@ -44,7 +44,7 @@ from service.pipeline.control.release.interlock_conditions import (
 )
 from service.pipeline.control.release.sign_checks import is_running
 from service.pipeline.inputs.knowledge import has_body_rate
-from service.ports.storage import Audit, Releases, Storage
+from service.ports.storage import Audit, Storage
 from service.records.calibration import CalibrationMethod, CalibrationState, Window
 from service.records.catalogue import Method, Release, Spacecraft
 from service.records.epoch import US_PER_S
@@ -53,6 +53,7 @@ from service.records.levels.attitude import AttitudeRow, Axes, ReleasedCommand, 
 from service.records.operations.access import CURRENT_NOTE, DONE, AuditEvent, apart_from_request
 from service.records.operations.release import Command, InterlockHold, ReleaseChange
 from service.runtime.control.sign_check_rows import SignCheckRows
+from service.runtime.live.journal_consumer import every_input
 from service.runtime.live.live_feed import Cursor, FeedEvent, LiveFeed
 
 #: operations are looked for so far back: a burn of then without a new ephemeris still counts
@@ -144,14 +145,8 @@ def _newest_momenta(
 
 def read_telemetry(storage: Storage, spacecraft_id: str, from_us: int) -> tuple[TelemetryRecord, ...]:
     """Return telemetry since an instant, in order of epoch."""
-    window, after = Window(from_us, _EVERY_NUMBER), None
-    found: list[TelemetryRecord] = []
-    while True:
-        page = storage.archive.inputs(spacecraft_id, "telemetry", window, _AT_ONCE, after, is_compared=False)
-        found += [entry.content for entry in page if isinstance(entry.content, TelemetryRecord)]
-        if len(page) < _AT_ONCE:
-            return tuple(found)
-        after = (found[-1].epoch_us, page[-1].number)
+    entries = every_input(storage.archive, spacecraft_id, "telemetry", Window(from_us, _EVERY_NUMBER))
+    return tuple(entry.content for entry in entries if isinstance(entry.content, TelemetryRecord))
 
 
 def interlock_inputs(facts: KnownFacts, now_us: int, *, lease_holders: int, is_disagreeing: bool) -> InterlockInputs:
@@ -266,6 +261,15 @@ class ReleasePublisher:
             _LOG.error("audit entry %s of %s could not be written: %s", action, target, error)
 
 
+#: rows from whose epochs the row period is taken
+_PERIOD_ROWS = 15
+_DEFAULT_PERIOD_S = 60.0
+#: rows that came late or again say nothing of the present
+_NOT_PRESENT = frozenset({"late", "catch_up"})
+#: the estimator's reason for a turn that was not announced; a sign check announces none
+_OWN_TURN = "unannounced_motion"
+#: the estimator's reason for its statistic
+_OUT_OF_BAND = "innovations"
 #: another process that has stored counts as there for so long
 _FOREIGN_US = 600 * US_PER_S
 #: a state that matters is stored at least this often, so that a restart knows the time, s
@@ -275,19 +279,39 @@ _ATTEMPTS = 3
 
 @dataclass(eq=False)
 class SpacecraftRelease:
-    """Release of one spacecraft; StorageError ``release.unreadable`` where what is stored is no state."""
+    """Release of one spacecraft with all that its events are built from.
+
+    StorageError ``release.unreadable`` where what is stored is no state.
+    """
 
     #: of an existing one
     spacecraft_id: str
     #: where its state is stored
-    releases: Releases
+    storage: Storage
     #: gets the effects that are not stored here
     publisher: ReleasePublisher
     settings: ReleaseSettings
+    #: of the control law
+    torque: TorqueConfig
     #: this process
     holder: str
+    #: of the service as the one that leads
+    turn: int = 1
+    known: KnownFacts | None = None
+    read_s: float = 0.0
+    #: newest instant of the spacecraft that was looked at
+    newest_us: int = 0
+    #: newest row of the method that drives control, with what came with it
+    newest_row: AttitudeRow | None = None
+    stored: StoredRow | None = None
+    is_disagreeing: bool = False
+    epochs_us: deque[int] = field(default_factory=lambda: deque(maxlen=_PERIOD_ROWS + 1))
+    sign_rows: SignCheckRows | None = None
+    #: when the law was asked last under a standing authorisation
+    asked_us: int = 0
 
     def __post_init__(self) -> None:
+        self.releases = self.storage.releases
         self._foreign_us: int | None = None
         #: newest epoch of which results are stored
         self.stored_us = 0
@@ -376,47 +400,6 @@ class SpacecraftRelease:
         except (ValueError, NotFoundError) as error:
             raise StorageError("release.unreadable", f"{self.spacecraft_id}: {error}") from error
         return restored(state), stored.version
-
-
-#: rows from whose epochs the row period is taken
-_PERIOD_ROWS = 15
-_DEFAULT_PERIOD_S = 60.0
-#: rows that came late or again say nothing of the present
-_NOT_PRESENT = frozenset({"late", "catch_up"})
-#: the estimator's reason for a turn that was not announced; a sign check announces none
-_OWN_TURN = "unannounced_motion"
-#: the estimator's reason for its statistic
-_OUT_OF_BAND = "innovations"
-
-
-@dataclass(slots=True)
-class ReleaseContext:
-    """Release of one spacecraft with all that its events are built from."""
-
-    release: SpacecraftRelease
-    storage: Storage
-    settings: ReleaseSettings
-    #: of the control law
-    torque: TorqueConfig
-    #: of the service as the one that leads
-    turn: int = 1
-    known: KnownFacts | None = None
-    read_s: float = 0.0
-    #: newest instant of the spacecraft that was looked at
-    newest_us: int = 0
-    #: newest row of the method that drives control, with what came with it
-    newest_row: AttitudeRow | None = None
-    stored: StoredRow | None = None
-    is_disagreeing: bool = False
-    epochs_us: deque[int] = field(default_factory=lambda: deque(maxlen=_PERIOD_ROWS + 1))
-    sign_rows: SignCheckRows | None = None
-    #: when the law was asked last under a standing authorisation
-    asked_us: int = 0
-
-    @property
-    def state(self) -> ReleaseState:
-        """State after the newest event."""
-        return self.release.state
 
     @property
     def facts(self) -> KnownFacts:

@@ -23,7 +23,6 @@ from service.records.catalogue import Spacecraft
 from service.records.epoch import US_PER_S
 from service.runtime.control.release_context import (
     KnownFacts,
-    ReleaseContext,
     ReleasePublisher,
     SpacecraftRelease,
     interlock_inputs,
@@ -66,7 +65,7 @@ class ReleaseLoop:
 
     def __post_init__(self) -> None:
         self._holder = uuid4().hex
-        self._contexts: dict[str, ReleaseContext] = {}
+        self._releases: dict[str, SpacecraftRelease] = {}
         self._making = threading.Lock()
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="soo-release", daemon=True)
@@ -87,14 +86,14 @@ class ReleaseLoop:
         Nothing is raised: estimation goes on whatever happens to control.
         """
         try:
-            context = self._context(spacecraft_id)
-            with context.release.lock:
+            release = self._release(spacecraft_id)
+            with release.lock:
                 if has_inputs:
-                    context.read_s = -math.inf
+                    release.read_s = -math.inf
                 epochs_us = (row.epoch_us for stored in seen for row in stored.outcome.rows)
-                context.release.stored_us = max(context.release.stored_us, *epochs_us, 0)
+                release.stored_us = max(release.stored_us, *epochs_us, 0)
                 for stored in seen:
-                    self._on_row(context, spacecraft_id, stored)
+                    self._on_row(release, stored)
         except Exception as fault:  # noqa: BLE001 rows go on; what was not stored does not hold, old estimates inhibit
             if is_moving(fault):
                 return
@@ -104,12 +103,11 @@ class ReleaseLoop:
     def steady(self, spacecraft_id: str) -> Iterator[bool]:
         """Let nobody trip control while rows are stored and handled; yield whether torques are withheld."""
         try:
-            context = self._context(spacecraft_id)
-            release = context.release
+            release = self._release(spacecraft_id)
             with release.lock:
-                if context.known is None:
+                if release.known is None:
                     # documents are compared before the first row of this process is stored
-                    self._update_inputs(context, spacecraft_id, self._instant(context, spacecraft_id))
+                    self._update_inputs(release, self._instant(release))
         except SooError as fault:
             # the rows of a spacecraft that moves to another process are refused
             if not is_moving(fault):
@@ -125,9 +123,9 @@ class ReleaseLoop:
             if self.turn(spacecraft.id) == 0 or self.clock.is_data(spacecraft.id):
                 continue
             try:
-                with self._present(spacecraft.id) as (context, at):
-                    context.release.handle(Tick(at))
-                    continue_sign_check(context, at)
+                with self._present(spacecraft.id) as (release, at):
+                    release.handle(Tick(at))
+                    continue_sign_check(release, at)
             except SooError as error:
                 # time goes on for the others; a state that grows old inhibits
                 _LOG.error("release loop failed for %s: %s", spacecraft.id, error)
@@ -140,8 +138,8 @@ class ReleaseLoop:
             except Exception:  # noqa: BLE001 time goes on; a state that grows old inhibits
                 _LOG.exception("release loop failed; it runs again at the next tick")
 
-    def _context(self, spacecraft_id: str) -> ReleaseContext:
-        """Return the context of a spacecraft, loaded when this process has become the one that leads it.
+    def _release(self, spacecraft_id: str) -> SpacecraftRelease:
+        """Return the release of a spacecraft, loaded when this process has become the one that leads it.
 
         NotFoundError ``spacecraft.unknown``; StorageError ``lease.elsewhere`` while another service leads.
         """
@@ -149,77 +147,75 @@ class ReleaseLoop:
         if turn == 0:
             raise elsewhere(self.storage.leases, spacecraft_id)
         with self._making:
-            context = self._contexts.get(spacecraft_id)
-            if context is None or context.turn != turn:
-                holder = f"{self._holder}/{turn}"
-                release = SpacecraftRelease(spacecraft_id, self.storage.releases, self.publisher, self.settings, holder)
-                newest_us = self._newest_us(spacecraft_id, release)
-                context = ReleaseContext(release, self.storage, self.settings, self.torque, turn, newest_us=newest_us)
-                self._contexts[spacecraft_id] = context
-            return context
+            release = self._releases.get(spacecraft_id)
+            if release is None or release.turn != turn:
+                parts = self.storage, self.publisher, self.settings, self.torque, f"{self._holder}/{turn}", turn
+                release = SpacecraftRelease(spacecraft_id, *parts)
+                release.newest_us = self._newest_us(release)
+                self._releases[spacecraft_id] = release
+            return release
 
     @contextmanager
-    def _present(self, spacecraft_id: str) -> Iterator[tuple[ReleaseContext, Instant]]:
+    def _present(self, spacecraft_id: str) -> Iterator[tuple[SpacecraftRelease, Instant]]:
         """Hold a spacecraft's release at the present, with the inputs of the interlock as they are now."""
-        context = self._context(spacecraft_id)
-        with context.release.lock:
-            at = self._instant(context, spacecraft_id)
-            self._update_inputs(context, spacecraft_id, at)
-            yield context, at
+        release = self._release(spacecraft_id)
+        with release.lock:
+            at = self._instant(release)
+            self._update_inputs(release, at)
+            yield release, at
 
-    def _instant(self, context: ReleaseContext, spacecraft_id: str, epoch_us: int | None = None) -> Instant:
+    def _instant(self, release: SpacecraftRelease, epoch_us: int | None = None) -> Instant:
         """Return the present; under the data clock the newest epoch that was looked at, which never goes back.
 
         Rows that are stored and not yet computed do not move that clock: they would make the estimate look old to
         any caller before they are.
         """
         # asked several times a row: without a look at the catalogue, where the spacecraft is known
-        spacecraft = None if context.known is None else context.known.spacecraft
-        if not (self.clock.reading(spacecraft, 0).is_data if spacecraft else self.clock.is_data(spacecraft_id)):
+        spacecraft = None if release.known is None else release.known.spacecraft
+        if not (self.clock.reading(spacecraft, 0).is_data if spacecraft else self.clock.is_data(release.spacecraft_id)):
             # read together: a process that is stopped between two readings would see a jump of the clock
             readings = ((self.steady_us(), self.clock.system_us(), self.steady_us()) for _ in range(3))
             before_us, now_us, _ = min(readings, key=lambda reading: reading[2] - reading[0])
             return Instant(now_us, before_us)
-        context.newest_us = max(context.newest_us, epoch_us or 0)
-        return Instant(context.newest_us, context.newest_us)
+        release.newest_us = max(release.newest_us, epoch_us or 0)
+        return Instant(release.newest_us, release.newest_us)
 
-    def _newest_us(self, spacecraft_id: str, release: SpacecraftRelease) -> int:
+    def _newest_us(self, release: SpacecraftRelease) -> int:
         """Return the newest instant that the interlock, or the estimator before a restart, has looked at."""
         stored = release.state.interlock.clock
-        consumed_us = self.storage.archive.head(spacecraft_id).consumed_epoch_us
-        is_data = self.clock.is_data(spacecraft_id)
+        consumed_us = self.storage.archive.head(release.spacecraft_id).consumed_epoch_us
+        is_data = self.clock.is_data(release.spacecraft_id)
         return max(0 if stored is None else stored.now_us, consumed_us or 0 if is_data else 0)
 
-    def _update_inputs(self, context: ReleaseContext, spacecraft_id: str, at: Instant) -> None:
+    def _update_inputs(self, release: SpacecraftRelease, at: Instant) -> None:
         """Read the facts of the archive if they are old, and handle a change of the interlock's inputs."""
-        if context.known is None or time.monotonic() - context.read_s > _FACTS_S:
-            context.known = self._facts(context, spacecraft_id, at)
-            context.read_s = time.monotonic()
-        release, is_disagreeing = context.release, context.is_disagreeing
-        holders = release.lease_holders(at.now_us)
-        inputs = interlock_inputs(context.facts, at.now_us, lease_holders=holders, is_disagreeing=is_disagreeing)
+        if release.known is None or time.monotonic() - release.read_s > _FACTS_S:
+            release.known = self._facts(release, at)
+            release.read_s = time.monotonic()
+        holders, is_disagreeing = release.lease_holders(at.now_us), release.is_disagreeing
+        inputs = interlock_inputs(release.facts, at.now_us, lease_holders=holders, is_disagreeing=is_disagreeing)
         if inputs != release.state.interlock.inputs:
             release.handle(InputsChanged(at, inputs))
 
-    def _facts(self, context: ReleaseContext, spacecraft_id: str, at: Instant) -> KnownFacts:
+    def _facts(self, release: SpacecraftRelease, at: Instant) -> KnownFacts:
         """Return the facts of the archive; while a damaged document cannot be read, those known before."""
         try:
-            return read_facts(self.storage, spacecraft_id, at.now_us)
+            return read_facts(self.storage, release.spacecraft_id, at.now_us)
         except StorageError as fault:
-            if fault.code != "storage.corrupt" or context.known is None:
+            if fault.code != "storage.corrupt" or release.known is None:
                 raise
-            damaged = self.storage.catalogue.damaged_documents(spacecraft_id)
-            return replace(context.known, inputs=replace(context.known.inputs, damaged_documents=damaged))
+            damaged = self.storage.catalogue.damaged_documents(release.spacecraft_id)
+            return replace(release.known, inputs=replace(release.known.inputs, damaged_documents=damaged))
 
-    def _on_row(self, context: ReleaseContext, spacecraft_id: str, stored: StoredRow) -> None:
+    def _on_row(self, release: SpacecraftRelease, stored: StoredRow) -> None:
         """Handle one row."""
         epochs_us = [row.epoch_us for row in stored.outcome.rows]
-        at = self._instant(context, spacecraft_id, max(epochs_us, default=None))
-        self._update_inputs(context, spacecraft_id, at)
-        row = context.update(stored, context.spacecraft.control.method)
+        at = self._instant(release, max(epochs_us, default=None))
+        self._update_inputs(release, at)
+        row = release.update(stored, release.spacecraft.control.method)
         if row is not None:
-            self._update_inputs(context, spacecraft_id, at)
-            handle_row(context, stored, row, at, may_send=self._may_send(context.spacecraft))
+            self._update_inputs(release, at)
+            handle_row(release, stored, row, at, may_send=self._may_send(release.spacecraft))
 
     def _may_send(self, spacecraft: Spacecraft) -> bool:
         """Return whether a spacecraft gets commands at all under the clock of this service."""

@@ -19,11 +19,10 @@ from service.pipeline.control.release.control_verdict import ControlView, contro
 from service.pipeline.control.release.events import OrderKind, Report, digest_of, state_of
 from service.pipeline.control.release.interlock import Instant
 from service.ports.storage import Catalogue
-from service.records.calibration import Window
 from service.records.catalogue import ControlMode, Release, Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.operations.release import Command, CommandRequest, ProductForm, UplinkProduct
-from service.runtime.control.release_context import ReleaseContext
+from service.runtime.control.release_context import SpacecraftRelease
 from service.runtime.control.release_loop import ReleaseLoop
 from service.runtime.control.sign_checks import (
     begin_sign_check,
@@ -49,54 +48,54 @@ class ReleaseService(ReleaseLoop):
         """Return the view of the interlock; NotFoundError ``spacecraft.unknown``."""
         if self.turn(spacecraft_id) == 0:
             return self._stored_view(spacecraft_id)
-        with self._present(spacecraft_id) as (context, at):
-            return self._view(context, at)
+        with self._present(spacecraft_id) as (release, at):
+            return self._view(release, at)
 
     def order(self, spacecraft_id: str, kind: OrderKind, by: str) -> ControlView:
         """Arm, disengage, reset or stop."""
-        with self._present(spacecraft_id) as (context, at):
+        with self._present(spacecraft_id) as (release, at):
             if kind is OrderKind.ARM:
-                self._require_possible(context.spacecraft)
-            self._handle(context, events.Order(at, by, kind))
-            return self._view(context, at)
+                self._require_possible(release.spacecraft)
+            self._handle(release, events.Order(at, by, kind))
+            return self._view(release, at)
 
     def engage(
         self, spacecraft_id: str, by: str, *, is_approver: bool, until_us: int, envelope: Envelope | None = None
     ) -> ControlView:
         """Ask for standing authorisation, or join who asked for the same; without an envelope that of the settings."""
         wanted = envelope or self.settings.envelope
-        with self._present(spacecraft_id) as (context, at):
-            self._require_possible(context.spacecraft)
-            self._handle(context, events.Engage(at, by, until_us, wanted, is_approver))
-            return self._view(context, at)
+        with self._present(spacecraft_id) as (release, at):
+            self._require_possible(release.spacecraft)
+            self._handle(release, events.Engage(at, by, until_us, wanted, is_approver))
+            return self._view(release, at)
 
     def prepare(self, spacecraft_id: str, by: str, request: CommandRequest, *, dry_run: bool = False) -> Command:
         """Return a prepared command; a dry run stores nothing and shows failing checks instead of refusing."""
-        with self._present(spacecraft_id) as (context, at):
-            self._require_possible(context.spacecraft)
-            command = requested(context, request, at)
-            counter = context.state.next_counter
+        with self._present(spacecraft_id) as (release, at):
+            self._require_possible(release.spacecraft)
+            command = requested(release, request, at)
+            counter = release.state.next_counter
             if dry_run:
                 digest, now_us = digest_of(counter, command), at.now_us
                 numbered = replace(command, counter=counter, digest=digest, prepared_by=by, prepared_us=now_us)
                 return replace(numbered, expires_us=now_us, is_dry_run=True)
-            self._handle(context, events.Prepare(at, by, command))
-            return context.release.command(counter)
+            self._handle(release, events.Prepare(at, by, command))
+            return release.command(counter)
 
     def confirm(
         self, spacecraft_id: str, counter: int, by: str, digest: str, *, is_approver: bool, comment: str = ""
     ) -> Command:
         """Return a command released."""
-        with self._present(spacecraft_id) as (context, at):
-            self._require_possible(context.spacecraft)
-            self._handle(context, events.Confirm(at, by, counter, digest, is_approver, comment))
-            return context.release.command(counter)
+        with self._present(spacecraft_id) as (release, at):
+            self._require_possible(release.spacecraft)
+            self._handle(release, events.Confirm(at, by, counter, digest, is_approver, comment))
+            return release.command(counter)
 
     def cancel(self, spacecraft_id: str, counter: int, by: str) -> Command:
         """Take a prepared command back."""
-        with self._present(spacecraft_id) as (context, at):
-            self._handle(context, events.Cancel(at, by, counter))
-            return context.release.command(counter)
+        with self._present(spacecraft_id) as (release, at):
+            self._handle(release, events.Cancel(at, by, counter))
+            return release.command(counter)
 
     def report(
         self,
@@ -110,41 +109,25 @@ class ReleaseService(ReleaseLoop):
         executed_until_us: int | None = None,
     ) -> Command:
         """Report a released command ``sent``, ``executed`` or ``failed``; the same report again changes nothing."""
-        with self._present(spacecraft_id) as (context, at):
+        with self._present(spacecraft_id) as (release, at):
             event = Report(at, counter, _REPORTS[turn], executed_from_us, executed_until_us, by, at_us)
-            command = context.release.command(counter)
+            command = release.command(counter)
             if _is_repeated(command, event):
                 return command
             if at_us is not None:
                 _require_time(command, at_us, at, is_data=self.clock.is_data(spacecraft_id))
-            self._handle(context, event)
-            judge_report(context, event)
-            continue_sign_check(context, at)
-            return context.release.command(counter)
+            self._handle(release, event)
+            judge_report(release, event)
+            continue_sign_check(release, at)
+            return release.command(counter)
 
     def command(self, spacecraft_id: str, counter: int) -> Command:
         """Return one command as it is now; NotFoundError ``command.unknown``."""
         if self.turn(spacecraft_id) == 0:
             return self.storage.releases.command(spacecraft_id, counter)
-        with self._present(spacecraft_id) as (context, at):
-            context.release.handle(events.Tick(at))
-            return context.release.command(counter)
-
-    def commands(
-        self,
-        spacecraft_id: str,
-        window: Window,
-        limit: int,
-        after: tuple[int, int] | None = None,
-        *,
-        newest_first: bool = False,
-    ) -> list[Command]:
-        """Return commands prepared in a window in order of (prepared, counter) beyond a cursor."""
-        return self.storage.releases.commands(spacecraft_id, window, limit, after, newest_first=newest_first)
-
-    def uplink(self, spacecraft_id: str, counter: int) -> UplinkProduct:
-        """Return the product of a released command; NotFoundError ``uplink.unknown``."""
-        return self.storage.releases.product(spacecraft_id, ProductForm.TORQUES, counter)
+        with self._present(spacecraft_id) as (release, at):
+            release.handle(events.Tick(at))
+            return release.command(counter)
 
     def attitude_uplink(self, spacecraft_id: str) -> UplinkProduct:
         """Return the newest angles for a spacecraft in mode onboard."""
@@ -160,26 +143,26 @@ class ReleaseService(ReleaseLoop):
 
     def sign_check(self, spacecraft_id: str, axis: str, by: str) -> ControlView:
         """Start the sign check of an axis: its legs are prepared one after the other, each to be confirmed."""
-        with self._present(spacecraft_id) as (context, at):
-            self._require_possible(context.spacecraft)
-            begin_sign_check(context, axis, by, at)
-            return self._view(context, at)
+        with self._present(spacecraft_id) as (release, at):
+            self._require_possible(release.spacecraft)
+            begin_sign_check(release, axis, by, at)
+            return self._view(release, at)
 
-    def _handle(self, context: ReleaseContext, event: events.Event) -> None:
+    def _handle(self, release: SpacecraftRelease, event: events.Event) -> None:
         """Handle an order; refused, it is an error."""
-        refusal = context.release.handle(event).refusal
+        refusal = release.handle(event).refusal
         if refusal is None:
             return
         if refusal.code == "command.unknown" and isinstance(event, events.Confirm | events.Cancel | Report):
             # one that ended long ago is not in the state any more
-            ended = context.release.command(event.counter).state
+            ended = release.command(event.counter).state
             raise ConflictError("command.state", f"command {event.counter} has ended, {ended}: nothing follows on that")
         raise error_of(refusal)
 
-    def _view(self, context: ReleaseContext, at: Instant) -> ControlView:
+    def _view(self, release: SpacecraftRelease, at: Instant) -> ControlView:
         """Return the view of the interlock at an instant; nothing is stored."""
-        state = settled_at(context.state, at, self.settings)
-        return control_view(state, context.spacecraft, self.settings, at.now_us)
+        state = settled_at(release.state, at, self.settings)
+        return control_view(state, release.spacecraft, self.settings, at.now_us)
 
     def _stored_view(self, spacecraft_id: str) -> ControlView:
         """Return the view of what the service that leads has stored last."""

@@ -60,7 +60,7 @@ from service.records.operations.release import (
     SignRatios,
     UplinkProduct,
 )
-from service.runtime.control.release_context import ReleaseContext, read_telemetry
+from service.runtime.control.release_context import SpacecraftRelease, read_telemetry
 from service.runtime.control.sign_check_rows import AXES, SignCheckRows, joint_verdict, wheel_verdict
 
 #: what was sent longer ago has left nothing in the flexible modes
@@ -68,14 +68,14 @@ _SWING_US = 3 * 3600 * US_PER_S
 _COMMANDS_AT_ONCE = 500
 
 
-def requested(context: ReleaseContext, request: CommandRequest, at: Instant) -> Command:
+def requested(release: SpacecraftRelease, request: CommandRequest, at: Instant) -> Command:
     """Return what a person requests as a proposal, with every check as it stands.
 
     ConflictError ``command.no_estimate``, ``command.estimate_stale``; InvalidInputError ``command.wish``.
     """
-    row, settings, spacecraft = context.row, context.settings, context.spacecraft
+    row, settings, spacecraft = release.row, release.settings, release.spacecraft
     epoch_us = request.attitude_epoch_us
-    if epoch_us is not None and not 0 <= row.epoch_us - epoch_us <= context.stale_us:
+    if epoch_us is not None and not 0 <= row.epoch_us - epoch_us <= release.stale_us:
         raise ConflictError("command.estimate_stale", "attitude_epoch is not that of a recent estimate")
     start_us = request.start_us or soonest_start_us(at.now_us, settings, settings.confirm_s)
     duration_s = request.duration_s or spacecraft.control.forecast_horizon_s
@@ -84,38 +84,38 @@ def requested(context: ReleaseContext, request: CommandRequest, at: Instant) -> 
     if not -US_PER_S <= start_us - at.now_us <= microseconds(settings.latest_stop_s):
         detail = f"start must lie ahead of the spacecraft's clock by at most {settings.latest_stop_s:g} s"
         raise InvalidInputError("command.wish", detail)
-    computed = computed_command(context, at, start_us, duration_s, request.max_torque_n_m)
+    computed = computed_command(release, at, start_us, duration_s, request.max_torque_n_m)
     try:
         command = proposal_of(computed, spacecraft, request.reason)
     except ValueError as error:
         raise InvalidInputError("command.wish", str(error)) from error
-    settled = settled_at(context.state, at, settings)
+    settled = settled_at(release.state, at, settings)
     return replace(command, checks=release_checks(settled, command, at, settings))
 
 
 def computed_command(
-    context: ReleaseContext, at: Instant, start_us: int, duration_s: float, max_torque_n_m: float | None = None
+    release: SpacecraftRelease, at: Instant, start_us: int, duration_s: float, max_torque_n_m: float | None = None
 ) -> TorqueCommand:
     """Return the command of the law from an instant on, without what the interlock withholds."""
-    row, facts, interlock = context.row, context.facts, context.state.interlock
+    row, facts, interlock = release.row, release.facts, release.state.interlock
     balance = None
     if interlock.state is State.BALANCE and interlock.row is not None:
         yaw, roll, pitch = interlock.row.balance_axes
         balance = yaw and not interlock.is_yaw_withheld, roll, pitch
-    rate_age_s = context.torque.rate_stale_periods * context.period_s + context.torque.rate_stale_margin_s
+    rate_age_s = release.torque.rate_stale_periods * release.period_s + release.torque.rate_stale_margin_s
     return command_for(
-        allowed_row(row, interlock, context.settings),
-        context.spacecraft,
+        allowed_row(row, interlock, release.settings),
+        release.spacecraft,
         start_us,
         duration_s,
         max_torque_n_m,
-        context.torque,
-        None if context.stored is None else context.stored.outcome.disturbance,
+        release.torque,
+        None if release.stored is None else release.stored.outcome.disturbance,
         facts.momentum_n_m_s(row.epoch_us),
-        swing=swing_left(context.storage.releases, context.spacecraft, start_us),
+        swing=swing_left(release.storage.releases, release.spacecraft, start_us),
         body_rate_deg_s=facts.body_rate_deg_s(row.epoch_us, rate_age_s),
         balance=balance,
-        envelope=envelope_left(context.state, at.now_us, context.settings),
+        envelope=envelope_left(release.state, at.now_us, release.settings),
     )
 
 
@@ -200,42 +200,42 @@ def release_refusal(spacecraft: Spacecraft) -> Refusal | None:
 _YAW_ROWS = 30
 
 
-def begin_sign_check(context: ReleaseContext, axis: str, by: str, at: Instant) -> None:
+def begin_sign_check(release: SpacecraftRelease, axis: str, by: str, at: Instant) -> None:
     """Start a check with its first leg, or raise why it cannot be."""
     if axis not in AXES:
         raise InvalidInputError("sign_check.axis", "axis must be yaw, roll or pitch")
-    if context.stored is None or context.stored.evidence is None:
+    if release.stored is None or release.stored.evidence is None:
         detail = "there are no rows of the robust method yet, whose model a sign check needs"
         raise ConflictError("sign_check.no_rows", detail)
-    spacecraft = context.spacecraft
+    spacecraft = release.spacecraft
     rows = SignCheckRows(
-        attitude_deg=context.row.attitude_deg,
+        attitude_deg=release.row.attitude_deg,
         inertia_kg_m2=inertia_about_angles(np.array(spacecraft.inertia_kg_m2)),
         has_coupling=spacecraft.onboard.roll_yaw_coupling is True,
     )
     check = SignCheck(axis, RUNNING, at.now_us, by, 0, 0, 0)
-    leg = _leg(context, rows, check, at)
-    refusal = leg if isinstance(leg, Refusal) else context.release.handle(BeginSignCheck(at, by, axis, leg)).refusal
+    leg = _leg(release, rows, check, at)
+    refusal = leg if isinstance(leg, Refusal) else release.handle(BeginSignCheck(at, by, axis, leg)).refusal
     if refusal is not None:
         raise error_of(refusal)
-    context.sign_rows = rows
+    release.sign_rows = rows
 
 
-def continue_sign_check(context: ReleaseContext, at: Instant) -> None:
+def continue_sign_check(release: SpacecraftRelease, at: Instant) -> None:
     """Judge the rows of a running check, and prepare its next leg when it is due."""
-    check, rows = context.state.sign_check, context.sign_rows
+    check, rows = release.state.sign_check, release.sign_rows
     if check is None or not is_running(check) or rows is None:
         return
     decision = _decision(check, rows)
-    wheels = _wheels(context, check, rows) if check.axis == "yaw" else None
+    wheels = _wheels(release, check, rows) if check.axis == "yaw" else None
     powers = SignState.OPEN if decision is None else decision.verdict
-    verdict = joint_verdict(check, powers, wheels, at.now_us, context.settings)
+    verdict = joint_verdict(check, powers, wheels, at.now_us, release.settings)
     ratio = None if decision is None else SignRatios(*decision.log_ratio)
     judged = SignJudged(at, check.axis, verdict, ratio, None if wheels is None else wheels.value)
-    check = context.release.handle(judged).state.sign_check
-    if check is not None and is_leg_due(check, _start_us(context, at)):
-        leg = _leg(context, rows, check, at)
-        context.release.handle(PrepareLeg(at, leg))
+    check = release.handle(judged).state.sign_check
+    if check is not None and is_leg_due(check, _start_us(release, at)):
+        leg = _leg(release, rows, check, at)
+        release.handle(PrepareLeg(at, leg))
 
 
 def _decision(check: SignCheck, rows: SignCheckRows) -> SignDecision | None:
@@ -245,35 +245,35 @@ def _decision(check: SignCheck, rows: SignCheckRows) -> SignDecision | None:
     return rows.decision(check)
 
 
-def _wheels(context: ReleaseContext, check: SignCheck, rows: SignCheckRows) -> SignState:
+def _wheels(release: SpacecraftRelease, check: SignCheck, rows: SignCheckRows) -> SignState:
     """Return the verdict of wheel telemetry on a check of yaw."""
     if not check.flown or len(rows.epochs_us) % _YAW_ROWS:
         return SignState.OPEN
-    telemetry = read_telemetry(context.storage, context.spacecraft.id, check.started_us)
-    axes = control_design(context.spacecraft, context.torque).wheels.axes
-    return wheel_verdict(check, telemetry, axes, context.settings)
+    telemetry = read_telemetry(release.storage, release.spacecraft.id, check.started_us)
+    axes = control_design(release.spacecraft, release.torque).wheels.axes
+    return wheel_verdict(check, telemetry, axes, release.settings)
 
 
-def _start_us(context: ReleaseContext, at: Instant) -> int:
+def _start_us(release: SpacecraftRelease, at: Instant) -> int:
     """Return when a leg may begin that is prepared now."""
-    return soonest_start_us(at.now_us, context.settings, context.settings.sign_confirm_s)
+    return soonest_start_us(at.now_us, release.settings, release.settings.sign_confirm_s)
 
 
-def _leg(context: ReleaseContext, rows: SignCheckRows, check: SignCheck, at: Instant) -> Command | Refusal:
+def _leg(release: SpacecraftRelease, rows: SignCheckRows, check: SignCheck, at: Instant) -> Command | Refusal:
     """Return the next leg as a command, or why there can be none."""
-    spacecraft, start_us = context.spacecraft, _start_us(context, at)
+    spacecraft, start_us = release.spacecraft, _start_us(release, at)
     try:
-        pulses = rows.leg(check, control_design(spacecraft, context.torque).drive)
+        pulses = rows.leg(check, control_design(spacecraft, release.torque).drive)
     except ValueError as error:
         return Refusal("command.empty", str(error))
-    swing = swing_left(context.storage.releases, spacecraft, start_us)
+    swing = swing_left(release.storage.releases, spacecraft, start_us)
     return proposed(
         spacecraft,
-        context.row.epoch_us,
+        release.row.epoch_us,
         start_us,
         pulses,
         effect_of_pulses(pulses, spacecraft, 0.0),
-        schedule_verdict(schedule_of(pulses, start_us), spacecraft, context.torque, swing),
+        schedule_verdict(schedule_of(pulses, start_us), spacecraft, release.torque, swing),
         reason=f"sign check of {check.axis}, leg {check.legs_done + 1} of {len(profile_of(check.axis).legs)}",
         purpose=Purpose.SIGN_CHECK,
     )
@@ -287,42 +287,42 @@ _BOUNDLESS = Effect(_UNKNOWN, _UNKNOWN, _UNKNOWN, _UNKNOWN, _UNKNOWN, _UNKNOWN, 
 _REASON = "standing authorisation"
 
 
-def handle_row(context: ReleaseContext, stored: StoredRow, row: AttitudeRow, at: Instant, *, may_send: bool) -> None:
+def handle_row(release: SpacecraftRelease, stored: StoredRow, row: AttitudeRow, at: Instant, *, may_send: bool) -> None:
     """Handle what follows from a row of the method that drives control."""
-    release, spacecraft = context.release, context.spacecraft
-    release.handle(RowSeen(at, context.row_facts(row)))
+    spacecraft = release.spacecraft
+    release.handle(RowSeen(at, release.row_facts(row)))
     if stored.outcome.applied is not None:
         release.handle(Applied(at, _effect(stored.outcome.applied.command, spacecraft)))
     evidence = stored.evidence
-    limit = missed_limit(context.state.interlock.row, context.settings)
+    limit = missed_limit(release.state.interlock.row, release.settings)
     if evidence is not None and not evidence.missed_log_ratio <= limit:
         release.handle(ResponseJudged(at, evidence.missed_log_ratio))
-    if evidence is not None and context.sign_rows is not None:
-        context.sign_rows.append(row.epoch_us, evidence.model, evidence.deviation_db)
-    continue_sign_check(context, at)
+    if evidence is not None and release.sign_rows is not None:
+        release.sign_rows.append(row.epoch_us, evidence.model, evidence.deviation_db)
+    continue_sign_check(release, at)
     if may_send:
-        _send(context, at)
-        _give_angles(context, row, at)
+        _send(release, at)
+        _give_angles(release, row, at)
 
 
-def judge_report(context: ReleaseContext, event: Report) -> None:
+def judge_report(release: SpacecraftRelease, event: Report) -> None:
     """Judge a command that is reported executed whole by its response in the powers before."""
-    command = command_of(context.state, event.counter)
-    evidence = None if context.stored is None else context.stored.evidence
+    command = command_of(release.state, event.counter)
+    evidence = None if release.stored is None else release.stored.evidence
     if command is None or evidence is None or evidence.unreported_log_ratio is None or command.is_sign_check:
         return
     is_whole = event.transition is CommandTransition.EXECUTED and command.executed == command.schedule
     # one command proves less than all of an hour
-    if is_whole and not evidence.unreported_log_ratio <= context.settings.missed_log_ratio:
-        context.release.handle(ResponseJudged(event.at, evidence.unreported_log_ratio))
+    if is_whole and not evidence.unreported_log_ratio <= release.settings.missed_log_ratio:
+        release.handle(ResponseJudged(event.at, evidence.unreported_log_ratio))
 
 
-def _send(context: ReleaseContext, at: Instant) -> None:
+def _send(release: SpacecraftRelease, at: Instant) -> None:
     """Offer the law's command to a standing authorisation, once a command period, while nothing else is out.
 
     In `BALANCE` it is that which balances the known torque.
     """
-    spacecraft, state = context.spacecraft, context.state
+    spacecraft, state = release.spacecraft, release.state
     is_checking = is_running(state.sign_check)
     is_standing = state.interlock.state is State.ENGAGED or (
         state.interlock.state is State.BALANCE and state.interlock.authorisation is not None
@@ -330,39 +330,39 @@ def _send(context: ReleaseContext, at: Instant) -> None:
     if not is_standing or release_refusal(spacecraft) or is_checking:
         return
     period_s = spacecraft.control.command_period_s
-    newest_us = max([context.asked_us, *(each.released_us or 0 for each in state.commands)])
+    newest_us = max([release.asked_us, *(each.released_us or 0 for each in state.commands)])
     is_busy = any(each.state in OPEN or each.state in UNREPORTED for each in state.commands)
     if is_busy or at.now_us - newest_us < microseconds(period_s):
         return
-    context.asked_us = at.now_us
-    computed = computed_command(context, at, soonest_start_us(at.now_us, context.settings), period_s)
+    release.asked_us = at.now_us
+    computed = computed_command(release, at, soonest_start_us(at.now_us, release.settings), period_s)
     if not computed.schedule:
         return
-    step = context.release.handle(Automatic(at, proposal_of(computed, spacecraft, _REASON)))
+    step = release.handle(Automatic(at, proposal_of(computed, spacecraft, _REASON)))
     if step.refusal is not None:
         _LOG.warning("automatic command of %s refused: %s (%s)", spacecraft.id, step.refusal.detail, step.refusal.code)
 
 
-def _give_angles(context: ReleaseContext, row: AttitudeRow, at: Instant) -> None:
+def _give_angles(release: SpacecraftRelease, row: AttitudeRow, at: Instant) -> None:
     """Store angles for a spacecraft that computes its torques itself, while nothing stands against them."""
-    spacecraft, interlock = context.spacecraft, context.state.interlock
+    spacecraft, interlock = release.spacecraft, release.state.interlock
     is_fit = row.control_allowed and not interlock.inhibiting and interlock.state is not State.TRIPPED
     if spacecraft.control.mode is not ControlMode.ONBOARD or not is_fit:
         return
-    newest = context.storage.releases.newest_product(spacecraft.id, ProductForm.ATTITUDE)
+    newest = release.storage.releases.newest_product(spacecraft.id, ProductForm.ATTITUDE)
     counter = 1 if newest is None else newest.counter + 1
     product = UplinkProduct(
         form=ProductForm.ATTITUDE,
         counter=counter,
         created_us=at.now_us,
         valid_from_us=row.epoch_us,
-        valid_until_us=row.epoch_us + context.stale_us,
+        valid_until_us=row.epoch_us + release.stale_us,
         attitude_epoch_us=row.epoch_us,
         is_simulated=spacecraft.simulated,
         attitude_deg=fit_angles_deg(row),
         sigma_deg=row.steered_sigma_deg,
     )
-    context.release.handle(AnglesFit(at, product))
+    release.handle(AnglesFit(at, product))
 
 
 def _effect(command: TorqueCommand, spacecraft: Spacecraft) -> Effect:

@@ -7,13 +7,7 @@ from service.pipeline.alignment.alignment import AlignedPowers, align_methods
 from service.pipeline.config import AlignmentConfig
 from service.pipeline.inputs.sensor_angles import StatedAngles, smooth_angles
 from service.ports.storage import Clock, Storage
-from service.records.calibration import (
-    Alignment,
-    Calibration,
-    CalibrationMethod,
-    CalibrationState,
-    Window,
-)
+from service.records.calibration import Alignment, Calibration, CalibrationMethod, CalibrationState, Window
 from service.records.catalogue import Ephemeris
 from service.records.epoch import US_PER_S, format_epoch
 from service.records.levels.attitude import Axes

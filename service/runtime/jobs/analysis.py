@@ -19,13 +19,7 @@ from service.pipeline.planning.candidates import (
 )
 from service.pipeline.planning.planning import Recommendation, Rule, recommend
 from service.ports.storage import Storage
-from service.records.calibration import (
-    Calibration,
-    CalibrationMethod,
-    CalibrationResult,
-    CalibrationState,
-    Window,
-)
+from service.records.calibration import Calibration, CalibrationMethod, CalibrationResult, CalibrationState, Window
 from service.records.catalogue import CarrierPlan, Method, Spacecraft
 
 #: fewest carriers that a choice may be asked for: three angles, a common level and one that checks them

@@ -69,15 +69,17 @@ class MaintenanceWork:
 
     def __call__(self, job: Job) -> Iterator[float]:
         """Do all that is due of a spacecraft, or of what belongs to none, a transaction a step."""
-        spacecraft_id = job.spacecraft_id
-        for _ in self.steps(spacecraft_id) if spacecraft_id else self._logs_dropped(None, self._clock.system_us()):
+        for _ in self.steps(job.spacecraft_id or None):
             # nobody knows how much there is
             yield 0.0
             # so that rows come in between
             time.sleep(self._sealing.pause_s)
 
-    def steps(self, spacecraft_id: str) -> Iterator[object]:
-        """Do all that is due of a spacecraft; yield after each transaction."""
+    def steps(self, spacecraft_id: str | None) -> Iterator[object]:
+        """Do all that is due of a spacecraft, or of the service (None); yield after each transaction."""
+        if spacecraft_id is None:
+            yield from self._logs_dropped(None, self._clock.system_us())
+            return
         yield from self._dropped(spacecraft_id)
         yield from self._replays_dropped(spacecraft_id)
         yield from self._logs_dropped(spacecraft_id, self._clock.now_us(spacecraft_id))
@@ -86,16 +88,13 @@ class MaintenanceWork:
     def do_all(self) -> int:
         """Do all that is due of every spacecraft now, and return of how many that failed; the others are done."""
         failed = 0
-        names = [each.id for each in self._storage.catalogue.all_spacecraft()]
-        works = {name: self.steps(name) for name in names}
-        works["the service"] = self._logs_dropped(None, self._clock.system_us())
-        for whose, steps in works.items():
+        for name in (*(each.id for each in self._storage.catalogue.all_spacecraft()), None):
             try:
-                for _ in steps:
+                for _ in self.steps(name):
                     pass
             except Exception:  # noqa: BLE001 a spacecraft that fails keeps no other one from it
                 failed += 1
-                _LOG.exception("archive maintenance of %s failed; what is due stays due", whose)
+                _LOG.exception("archive maintenance of %s failed; what is due stays due", name or "the service")
         return failed
 
     def _dropped(self, spacecraft_id: str) -> Iterator[RetiredRows]:

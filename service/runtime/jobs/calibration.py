@@ -1,28 +1,22 @@
 """Calibrations: jobs that read the windows from the archive, run the fit and store the draft's result."""
 
 from collections.abc import Callable, Iterator
+from typing import TypeVar
 
 from service.core.estimation.calibration.checks.turns import LONGEST_LAG_S
 from service.errors import ConflictError
 from service.pipeline.calibration.geometry_calibration import calibrate_geometry
-from service.pipeline.calibration.geometry_rows import CalibrationError, CalibrationInput
+from service.pipeline.calibration.geometry_rows import CalibrationInput
 from service.pipeline.calibration.minute_rows import mean_edges_us, minute_rows
 from service.pipeline.calibration.paper_calibration import calibrate_paper
 from service.pipeline.config import CalibrationConfig
 from service.ports.storage import Clock, Storage
-from service.records.calibration import (
-    Calibration,
-    CalibrationMethod,
-    CalibrationRequest,
-    CalibrationResult,
-    CalibrationState,
-    Window,
-)
+from service.records.calibration import Calibration, CalibrationMethod, CalibrationRequest, CalibrationState, Window
 from service.records.epoch import US_PER_S
-from service.records.inputs import Correction, Operation, PolarizationRecord, SlowInput, TelemetryRecord
-from service.records.levels.measurement import Measurement
+from service.records.inputs import Correction, Operation, PolarizationRecord, TelemetryRecord
 from service.records.operations.work import Job, JobKind
-from service.runtime.jobs.job_runner import JobAbortedError, new_job
+from service.runtime.jobs.job_runner import new_job
+from service.runtime.live.journal_consumer import every_input
 
 #: operations and corrections that a calibration looks at, at most of each
 _MAX_INPUTS = 1000
@@ -32,6 +26,7 @@ _MAX_RECORDS = 10_000
 _SPACED_US = 60 * US_PER_S
 #: powers before and after the turns by which a lag is judged
 _AROUND_US = int(LONGEST_LAG_S) * US_PER_S
+_Record = TypeVar("_Record", bound=TelemetryRecord | PolarizationRecord)
 
 
 class Calibrator:
@@ -118,12 +113,10 @@ class CalibrationWork:
         if draft.state is not CalibrationState.DRAFT or draft.result is not None:
             # it was stored right before a process ended
             return
-        try:
-            data = self._read(spacecraft_id, draft)
-            yield 0.3
-            result = fitted(self._config, data)
-        except CalibrationError as error:
-            raise JobAbortedError(str(error)) from error
+        data = self._read(spacecraft_id, draft)
+        yield 0.3
+        is_joint = draft.request.method is CalibrationMethod.GEOMETRY
+        result = (calibrate_geometry if is_joint else calibrate_paper)(data, self._config)
         results.finish_calibration(spacecraft_id, draft.id, result, None)
 
     def _read(self, spacecraft_id: str, draft: Calibration) -> CalibrationInput:
@@ -131,6 +124,7 @@ class CalibrationWork:
         catalogue, archive, request = self._storage.catalogue, self._storage.archive, draft.request
         plan = catalogue.plan(spacecraft_id, draft.plan_id)
         operations = self._operations(spacecraft_id, request)
+        corrections = archive.inputs(spacecraft_id, "correction", request.turns, _MAX_INPUTS, None)
         edges_us = mean_edges_us(request, operations)
         start_us, stop_us = request.turns.start_us, request.turns.stop_us
         around = Window(max(0, start_us - _AROUND_US), stop_us + _AROUND_US)
@@ -148,51 +142,33 @@ class CalibrationWork:
             archive.reference_series(spacecraft_id, request.quiet),
             catalogue.spacecraft(spacecraft_id),
             operations,
-            self._corrections(spacecraft_id, request),
+            tuple(entry.content for entry in corrections if isinstance(entry.content, Correction)),
             quiet.usual_measurements,
             quiet.first_dbm,
-            self._telemetry(spacecraft_id, request),
-            self._polarization(spacecraft_id, request),
+            self._reported(spacecraft_id, "telemetry", TelemetryRecord, request),
+            self._reported(spacecraft_id, "polarization", PolarizationRecord, request),
             surroundings.series,
         )
 
-    def _corrections(self, spacecraft_id: str, request: CalibrationRequest) -> tuple[Correction, ...]:
-        """Return the announced corrections that overlap the turns."""
-        entries = self._storage.archive.inputs(spacecraft_id, "correction", request.turns, _MAX_INPUTS, None)
-        return tuple(entry.content for entry in entries if isinstance(entry.content, Correction))
-
-    def _telemetry(self, spacecraft_id: str, request: CalibrationRequest) -> tuple[TelemetryRecord, ...]:
-        """Return the records of the turns and of the quiet days."""
-        found = self._reported(spacecraft_id, "telemetry", request)
-        return tuple(one for one in found if isinstance(one, TelemetryRecord))
-
-    def _polarization(self, spacecraft_id: str, request: CalibrationRequest) -> tuple[PolarizationRecord, ...]:
-        """Return the records of the turns and of the quiet days."""
-        found = self._reported(spacecraft_id, "polarization", request)
-        return tuple(one for one in found if isinstance(one, PolarizationRecord))
-
     def _reported(
-        self, spacecraft_id: str, kind: str, request: CalibrationRequest
-    ) -> tuple[Measurement | SlowInput, ...]:
+        self, spacecraft_id: str, name: str, kind: type[_Record], request: CalibrationRequest
+    ) -> tuple[_Record, ...]:
         """Return the records of the turns, the first of them where they are more than a calibration reads, and before.
 
         Of records of the quiet days that stand closer than a minute the first of a source is enough, and those of
         unloadings.
         """
         archive = self._storage.archive
-        read = {each.number: each for each in archive.inputs(spacecraft_id, kind, request.turns, _MAX_RECORDS, None)}
+        read = {each.number: each for each in archive.inputs(spacecraft_id, name, request.turns, _MAX_RECORDS, None)}
         next_us: dict[str, int] = {}
-        after = None
-        while page := archive.inputs(spacecraft_id, kind, request.quiet, _MAX_RECORDS, after):
-            for entry in page:
-                one = entry.content
-                if isinstance(one, TelemetryRecord | PolarizationRecord):
-                    after = one.epoch_us, entry.number
-                    source = one.source if isinstance(one, PolarizationRecord) else ""
-                    is_unloading = isinstance(one, TelemetryRecord) and one.thrusters_active
-                    if is_unloading or one.epoch_us >= next_us.get(source, one.epoch_us):
-                        read[entry.number], next_us[source] = entry, one.epoch_us + _SPACED_US
-        return tuple(each.content for each in read.values())
+        for entry in every_input(archive, spacecraft_id, name, request.quiet, is_compared=True):
+            one = entry.content
+            if isinstance(one, kind):
+                source = one.source if isinstance(one, PolarizationRecord) else ""
+                is_unloading = isinstance(one, TelemetryRecord) and one.thrusters_active
+                if is_unloading or one.epoch_us >= next_us.get(source, one.epoch_us):
+                    read[entry.number], next_us[source] = entry, one.epoch_us + _SPACED_US
+        return tuple(each.content for each in read.values() if isinstance(each.content, kind))
 
     def _operations(self, spacecraft_id: str, request: CalibrationRequest) -> tuple[Operation, ...]:
         """Return the declared operations that overlap a window, each once, by number."""
@@ -202,10 +178,3 @@ class CalibrationWork:
                 if isinstance(entry.content, Operation):
                     found[entry.content.id] = entry.content
         return tuple(found[number] for number in sorted(found))
-
-
-def fitted(config: CalibrationConfig, data: CalibrationInput) -> CalibrationResult:
-    """Return the result of the method that was asked for."""
-    if data.request.method is CalibrationMethod.GEOMETRY:
-        return calibrate_geometry(data, config)
-    return calibrate_paper(data, config)

@@ -18,9 +18,10 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from multiprocessing import get_context, parent_process
-from typing import Any, Protocol
+from typing import Any
 
 from service.errors import InvalidInputError, SooError, UnavailableError
+from service.pipeline.calibration.geometry_rows import CalibrationError
 from service.ports.storage import Clock, LeaseLoan, Storage, Term
 from service.records.operations.work import Job, JobKind, JobState
 from service.records.setting import CHOSEN, setting
@@ -39,10 +40,6 @@ _ATTEMPTS = 4
 _START_TIMEOUT_S = 300.0
 #: by so much the system's scheduler prefers the service
 _NICENESS = 10
-
-
-class JobAbortedError(Exception):
-    """The work cannot be done; the text gives the reason and the remedy."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,11 +88,8 @@ class JobPieces:
         return None
 
 
-class Advance(Protocol):
-    """Does the next piece of a job, as `JobPieces.advance`."""
-
-    def __call__(self, job: Job, open_ids: frozenset[str], /) -> float | None:
-        """Return how far it is; None: it is done."""
+#: does the next piece of a job, as `JobPieces.advance`
+Advance = Callable[[Job, frozenset[str]], float | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,7 +251,7 @@ class JobRunner:
                 return
         if is_moving(error):
             self._let_go(job)
-        elif isinstance(error, JobAbortedError | SooError):
+        elif isinstance(error, CalibrationError | SooError):
             self._fail(job, str(error))
         else:
             _LOG.error("job %s failed by an internal error", job.id, exc_info=error)

@@ -28,7 +28,13 @@ from service.records.levels.measurement import Measurement
 from service.records.operations.work import Job, JobKind, Replay
 from service.records.storage import Checkpoint
 from service.runtime.jobs.job_runner import WorkerConfig, new_job
-from service.runtime.live.chain_restart import KNOWN_US, checkpoint_of, restored_checkpoint, state_of
+from service.runtime.live.chain_restart import (
+    KNOWN_US,
+    checkpoint_of,
+    numbered_alignments,
+    restored_checkpoint,
+    state_of,
+)
 from service.runtime.live.journal_consumer import (
     BLOCK_ROWS,
     DocumentCache,
@@ -54,13 +60,6 @@ class _Passed(NamedTuple):
     outcome: Outcome | None
     #: journal number and epoch up to which the chain has consumed; None within an entry
     position: tuple[int, int] | None
-
-
-class _Begun(NamedTuple):
-    """Journal number of the last entry that a new chain knows, and the epoch from which it runs rows."""
-
-    number: int
-    epoch_us: int
 
 
 class ReplaySpan(NamedTuple):
@@ -189,22 +188,18 @@ class ReplayRun:
         until = self._replay.until_number
         self._newest_number = storage.archive.head(spacecraft_id).newest_number if until is None else until
 
-    def run(self) -> None:
-        """Compute and store the rows of the span; ConflictError ``replay.deleted`` if it is deleted meanwhile."""
-        for _ in self.pieces():
-            pass
-
     def pieces(self) -> Iterator[float]:
-        """Compute the rows of the span as `run` does, and yield how far it is whenever some were stored."""
+        """Compute and store the rows of the span, and yield how far it is whenever some were stored.
+
+        ConflictError ``replay.deleted`` if it is deleted meanwhile.
+        """
         # no state holds the rows that a smoother goes back over: a run that was killed begins again
         is_kept = self._smoothed is None
         found = self._storage.results.replay_checkpoint(self._id, self._replay.version, fingerprint(self._config))
         kept = found if is_kept else None
-        is_by_epoch = self._replay.order == "epoch"
-        passed = self._by_epoch(kept) if is_by_epoch else self._by_journal(kept, self._last_number())
         chosen: list[Outcome] = []
         kept_s = time.monotonic()
-        for each in self._with_smoothed(passed):
+        for each in self._passed(kept, ReplaySpan(None, self._last_number())):
             if each.outcome is not None and (within := _within(each.outcome, self._replay)) is not None:
                 chosen.append(within)
             is_due = is_kept and each.position is not None and time.monotonic() - kept_s >= _CHECKPOINT_S
@@ -240,10 +235,9 @@ class ReplayRun:
         An alignment computes rows that were stored before it. Those that have angles by then keep them, and only who
         has computed the former spans knows which have.
         """
-        passed = self._by_epoch(None) if self._replay.order == "epoch" else self._by_span(span)
         chosen: list[Outcome] = []
         former: list[Outcome] = []
-        for each in self._with_smoothed(passed):
+        for each in self._passed(None, span):
             within = None if each.outcome is None else _within(each.outcome, self._replay)
             if within is not None:
                 (former if within.rows[0].number <= (span.after or 0) else chosen).append(within)
@@ -253,9 +247,9 @@ class ReplayRun:
         self._save(chosen, None)
         return former
 
-    def _with_smoothed(self, passed: Iterator[_Passed]) -> Iterator[_Passed]:
-        """Pass what a run passes, and behind it the rows that it could smooth by then."""
-        for each in passed:
+    def _passed(self, own: Checkpoint | None, span: ReplaySpan) -> Iterator[_Passed]:
+        """Pass the rows of a span, and behind each the rows that could be smoothed by then."""
+        for each in self._by_epoch(own) if self._replay.order == "epoch" else self._by_journal(own, span):
             yield each
             if self._smoothed is not None and each.outcome is not None:
                 made = self._smoothed.push(each.outcome.rows)
@@ -269,24 +263,23 @@ class ReplayRun:
         checkpoint = None if position is None else checkpoint_of(self._chain, self._config, *position)
         self._storage.results.save_outcomes(self._id, self._replay.version, outcomes, 0, None, checkpoint)
 
-    def _by_journal(self, own: Checkpoint | None, until: int) -> Iterator[_Passed]:
-        """Pass the entries in the order of the journal until one of them."""
-        first = self._first_number()
-        kept = self._restored(own) or self._restored_live(first, until, self._replay.start_us)
-        return self._consumed(kept or self._aligned(first, self._alignment.epoch_us), 0, until)
-
-    def _by_span(self, span: ReplaySpan) -> Iterator[_Passed]:
-        """Pass the entries of a span; the chain goes on from the newest state before it."""
+    def _by_journal(self, own: Checkpoint | None, span: ReplaySpan) -> Iterator[_Passed]:
+        """Pass the entries of a span in the order of the journal; the chain goes on from the newest state before it."""
+        number, epoch_us = self._first_number(), self._alignment.epoch_us
         if span.after is None:
-            return self._by_journal(None, span.until)
-        number, epoch_us = max(each for each in self._alignments() if each[0] <= span.after + 1)
-        kept = self._restored_live(number, span.after, None)
-        return self._consumed(kept or self._aligned(number, epoch_us), span.after, span.until)
+            begun = self._restored(own) or self._restored_live(number, span.until, self._replay.start_us)
+        else:
+            number, epoch_us = max(each for each in self._alignments() if each[0] <= span.after + 1)
+            begun = self._restored_live(number, span.after, None)
+        if begun is None:
+            update_before(self._chain, self._storage.archive, self._id, number, epoch_us)
+            begun = number - 1, epoch_us
+        return self._consumed(begun, span)
 
-    def _consumed(self, begun: Checkpoint | _Begun, after: int, until: int) -> Iterator[_Passed]:
-        """Pass what the chain makes of the entries after one and until another, from where its state is on."""
-        archive, first = self._storage.archive, self._first_number()
-        position, newest_us = begun.number, begun.epoch_us
+    def _consumed(self, begun: tuple[int, int], span: ReplaySpan) -> Iterator[_Passed]:
+        """Pass what the chain makes of the entries of a span, from the number and epoch where its state is on."""
+        archive, first, after, until = self._storage.archive, self._first_number(), span.after or 0, span.until
+        position, newest_us = begun
         trips = trips_after(archive, self._id, first)
         while position < until:
             entries = archive.journal(self._id, position, _ENTRIES_AT_ONCE)
@@ -337,32 +330,29 @@ class ReplayRun:
     def _state_of(self, own: Checkpoint | None) -> ChainState | None:
         return None if own is None else state_of(self._id, own)
 
-    def _restored(self, own: Checkpoint | None) -> Checkpoint | None:
-        """Restore the chain from the replay's own checkpoint, and return it."""
+    def _restored(self, own: Checkpoint | None) -> tuple[int, int] | None:
+        """Restore the chain from the replay's own checkpoint, and return its number and epoch."""
         state = self._state_of(own)
         if own is None or state is None:
             return None
         update_before(self._chain, self._storage.archive, self._id, own.number + 1, own.epoch_us - KNOWN_US)
         self._chain.restore(state)
-        return own
+        return own.number, own.epoch_us
 
-    def _restored_live(self, first: int, newest_number: int, before_us: int | None) -> Checkpoint | None:
-        """Restore the chain from the newest checkpoint of the live run before an epoch, and return the checkpoint.
+    def _restored_live(self, first: int, newest_number: int, before_us: int | None) -> tuple[int, int] | None:
+        """Restore the chain from the newest checkpoint of the live run before an epoch; return its number and epoch.
 
         None where the replay has another calibration or alignment than the live run: no checkpoint holds for it.
         """
         if not self._is_live():
             return None
-        return restored_checkpoint(self._storage, self._id, self._chain, self._config, first, newest_number, before_us)
+        place = self._storage, self._id, self._chain, self._config
+        kept = restored_checkpoint(*place, first, newest_number, before_us)
+        return None if kept is None else (kept.number, kept.epoch_us)
 
     def _is_live(self) -> bool:
         """Return whether the chain of this replay has the states of the live one."""
         return self._replay.calibration_id is None and not self._replay.is_fixed_alignment
-
-    def _aligned(self, number: int, epoch_us: int) -> _Begun:
-        """Bring a new chain to the entry before an alignment."""
-        update_before(self._chain, self._storage.archive, self._id, number, epoch_us)
-        return _Begun(number - 1, epoch_us)
 
     def _first_number(self) -> int:
         """Return the journal number of the alignment that the replay starts from."""
@@ -376,9 +366,7 @@ class ReplayRun:
         return min(self._newest_number, last)
 
     def _alignments(self) -> list[tuple[int, int]]:
-        """Return journal number and epoch of every alignment."""
-        results = self._storage.results
-        return [(results.alignment_number(self._id, each.id), each.epoch_us) for each in results.alignments(self._id)]
+        return numbered_alignments(self._storage.results, self._id)
 
     def _beginnings(self, last: int) -> list[int]:
         """Return the journal numbers up to the last one behind which the chain can begin, in order.

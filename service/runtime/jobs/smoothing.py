@@ -17,7 +17,7 @@ from service.records.levels.attitude import AttitudeRow
 from service.records.levels.measurement import Measurement
 from service.records.operations.work import Job
 from service.records.setting import CHOSEN, setting
-from service.runtime.live.chain_restart import restored_checkpoint
+from service.runtime.live.chain_restart import numbered_alignments, restored_checkpoint
 from service.runtime.live.journal_consumer import DocumentCache, consume, update_before
 from service.runtime.live.leadership import always
 
@@ -26,16 +26,6 @@ _ENTRIES_AT_ONCE = 512
 _PART_US = 6 * 3600 * US_PER_S
 #: a run may begin so long before the first row that it makes, us; the last checkpoint of each day is kept
 _REACH_US = 2 * 86_400 * US_PER_S
-
-
-class LaggedOrder(NamedTuple):
-    """Smoothed rows that are wanted."""
-
-    #: instant of the grid up to which they are made already, microseconds UTC
-    after_us: int
-    #: journal number of the last entry that the live chain has consumed
-    until_number: int
-    lag_us: int
 
 
 class LaggedPart(NamedTuple):
@@ -59,28 +49,29 @@ class LaggedRun:
         Configuration of the chain.
     spacecraft_id : str
         Spacecraft.
-    order : LaggedOrder
-        What is wanted.
+    lag_us : int
+        A row is made when the data reach so far beyond it.
+    after_us : int
+        Instant of the grid up to which rows are made already, microseconds UTC.
+    until_number : int
+        Journal number of the last entry that the live chain has consumed.
     """
 
-    def __init__(self, storage: Storage, config: ChainConfig, spacecraft_id: str, order: LaggedOrder) -> None:
-        self._storage, self._config, self._id, self._order = storage, config, spacecraft_id, order
-        self._lagged = LaggedRows(order.lag_us, order.after_us)
+    def __init__(
+        self, storage: Storage, config: ChainConfig, spacecraft_id: str, lag_us: int, after_us: int, until_number: int
+    ) -> None:
+        self._storage, self._config, self._id = storage, config, spacecraft_id
+        self._after_us, self._until = after_us, until_number
+        self._lagged = LaggedRows(lag_us, after_us)
         documents = DocumentCache(storage.catalogue, storage.results, spacecraft_id)
         # torques are nobody's here: those that counted as applied stand in the journal
         self._chain = Chain(
             documents, config, methods=(Method.ROBUST,), has_commands=False, recorder=self._lagged.recorder
         )
 
-    def run(self) -> LaggedPart:
-        """Make the rows of the next instants, of six hours at most."""
-        (part,) = (each for each in self.steps() if each is not None)
-        return part
-
     def steps(self) -> Iterator[LaggedPart | None]:
-        """Make the rows as `run` does, and yield them at the end; None with each row of the journal before."""
-        after_us = self._order.after_us
-        position = self._begun()
+        """Make the rows of the next six hours at most, and yield them at the end; None with each row before."""
+        after_us, position = self._after_us, self._begun()
         if position is None:
             first_us = self._first_us()
             made_us = after_us if first_us is None else grid_us(first_us + GRID_US - 1)
@@ -96,10 +87,10 @@ class LaggedRun:
 
     def _made(self, position: int) -> Iterator[list[AttitudeRow]]:
         """Yield the smoothed rows that are due with each row of the journal behind a number."""
-        archive, until = self._storage.archive, self._order.until_number
+        archive = self._storage.archive
         while entries := archive.journal(self._id, position, _ENTRIES_AT_ONCE):
             for entry in entries:
-                if entry.number > until:
+                if entry.number > self._until:
                     return
                 for outcome in consume(self._chain, entry, archive, self._id):
                     yield self._lagged.push(outcome.rows[0].epoch_us, outcome.rows)
@@ -114,8 +105,8 @@ class LaggedRun:
 
         A checkpoint comes first: an alignment that came after rows gives other states than they had.
         """
-        after_us, until = self._order.after_us, self._order.until_number
-        kept = restored_checkpoint(self._storage, self._id, self._chain, self._config, 0, until, after_us + 1)
+        after_us = self._after_us
+        kept = restored_checkpoint(self._storage, self._id, self._chain, self._config, 0, self._until, after_us + 1)
         if kept is not None:
             return kept.number if kept.epoch_us >= after_us - _REACH_US else None
         standing = [each for each in self._alignments() if after_us - _REACH_US <= each[1] <= after_us]
@@ -127,16 +118,13 @@ class LaggedRun:
 
     def _first_us(self) -> int | None:
         """Return the earliest epoch after the wanted instant at which a run can begin, microseconds UTC."""
-        results, after_us = self._storage.results, self._order.after_us
-        kept = results.checkpoints(self._id, fingerprint(self._config), self._order.until_number)
-        found = [*(each.epoch_us for each in kept), *(epoch_us for _, epoch_us in self._alignments())]
-        return min((epoch_us for epoch_us in found if epoch_us > after_us), default=None)
+        kept = self._storage.results.checkpoints(self._id, fingerprint(self._config), self._until)
+        epochs_us = [*(each.epoch_us for each in kept), *(epoch_us for _, epoch_us in self._alignments())]
+        return min((epoch_us for epoch_us in epochs_us if epoch_us > self._after_us), default=None)
 
     def _alignments(self) -> list[tuple[int, int]]:
         """Return journal number and epoch of every alignment that the live chain has consumed."""
-        results = self._storage.results
-        found = [(results.alignment_number(self._id, each.id), each.epoch_us) for each in results.alignments(self._id)]
-        return [each for each in found if each[0] <= self._order.until_number]
+        return [each for each in numbered_alignments(self._storage.results, self._id) if each[0] <= self._until]
 
 
 _LOG = logging.getLogger("soo.lagged")
@@ -221,9 +209,9 @@ class SmoothingWork:
         due_us = grid_us(head.consumed_epoch_us - self._lag_us)
         first_us = after_us = self._after_us(spacecraft_id, due_us)
         while after_us < due_us:
-            order = LaggedOrder(after_us, head.consumed_number, self._lag_us)
+            order = self._lag_us, after_us, head.consumed_number
             progress = (after_us - first_us) / (due_us - first_us)
-            for part in LaggedRun(self._storage, self._chain_config, spacecraft_id, order).steps():
+            for part in LaggedRun(self._storage, self._chain_config, spacecraft_id, *order).steps():
                 if part is not None:
                     self._store(spacecraft_id, after_us, part)
                     # without a state to begin with, as before the first alignment, there is nothing to wait for

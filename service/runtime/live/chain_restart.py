@@ -16,6 +16,7 @@ from typing import NamedTuple
 from service.pipeline.chain import Chain
 from service.pipeline.checkpoints import ChainState, fingerprint, pack_state, unpack_state
 from service.pipeline.config import ChainConfig
+from service.ports.archive import Archive, Results
 from service.ports.storage import Storage
 from service.records.epoch import US_PER_S
 from service.records.inputs import AlignmentSet
@@ -53,16 +54,6 @@ class Restarting(NamedTuple):
     seconds_left: float | None
 
 
-class BroughtBack(NamedTuple):
-    """Chain on its way back to where results were stored."""
-
-    chain: Chain
-    #: newest epoch of the checkpoint that it began with, microseconds UTC; None = it began at an alignment
-    kept_us: int | None
-    #: entries of the journal that are still to be consumed again
-    entries_left: int
-
-
 class ChainRestarts:
     """Restarts of the chains of a service, one at a time.
 
@@ -87,49 +78,45 @@ class ChainRestarts:
         """Return the restart that is under way."""
         return self._under_way
 
-    def chain(self, spacecraft_id: str, consumed_number: int) -> BroughtBack | None:
-        """Return the chain as it was after a journal number; None if the service stops before."""
-        began_s, first = time.monotonic(), None
+    def chain(self, spacecraft_id: str, consumed_number: int) -> tuple[Chain, int | None] | None:
+        """Return the chain as it was after a journal number, and the newest epoch of the checkpoint that it began with.
+
+        Microseconds UTC, None where it began at an alignment. None in place of both if the service stops before.
+        """
+        storage = self._storage
+        chain = Chain(DocumentCache(storage.catalogue, storage.results, spacecraft_id), self._config)
+        number, aligned_us = _last_alignment(storage, spacecraft_id, consumed_number)
+        kept = restored_checkpoint(storage, spacecraft_id, chain, self._config, number or 0, consumed_number)
+        if kept is None:
+            update_before(chain, storage.archive, spacecraft_id, number or consumed_number + 1, aligned_us)
+        position = kept.number if kept is not None else consumed_number if number is None else number - 1
+        began_s, first = time.monotonic(), consumed_number - position
         try:
-            for back in _brought_back(self._storage, spacecraft_id, self._config, consumed_number):
-                left, passed_s = back.entries_left, time.monotonic() - began_s
-                first = left if first is None else first
+            for left in _entries_left(chain, storage.archive, spacecraft_id, position, consumed_number):
+                passed_s = time.monotonic() - began_s
                 seconds_left = passed_s * left / (first - left) if left < first else None
                 self._under_way = Restarting(spacecraft_id, left, seconds_left)
-                if left == 0:
-                    return back
                 if self._is_stopping():
                     return None
         finally:
             self._under_way = None
-        return None
+        return chain, None if kept is None else kept.epoch_us
 
 
-def _brought_back(
-    storage: Storage, spacecraft_id: str, config: ChainConfig, consumed_number: int
-) -> Iterator[BroughtBack]:
-    """Yield a chain until it has consumed every entry; nothing is stored."""
-    archive = storage.archive
-    chain = Chain(DocumentCache(storage.catalogue, storage.results, spacecraft_id), config)
-    number, aligned_us = _last_alignment(storage, spacecraft_id, consumed_number)
-    kept = restored_checkpoint(storage, spacecraft_id, chain, config, number or 0, consumed_number)
-    if kept is None:
-        update_before(chain, archive, spacecraft_id, number or consumed_number + 1, aligned_us)
-        position = consumed_number if number is None else number - 1
-    else:
-        position = kept.number
-    back = BroughtBack(chain, None if kept is None else kept.epoch_us, 0)
+def _entries_left(
+    chain: Chain, archive: Archive, spacecraft_id: str, position: int, consumed_number: int
+) -> Iterator[int]:
+    """Let a chain consume the entries behind a position, and yield how many are left; nothing is stored."""
     while position < consumed_number:
-        yield back._replace(entries_left=consumed_number - position)
+        yield consumed_number - position
         entries = archive.journal(spacecraft_id, position, _ENTRIES_AT_ONCE)
         for entry in entries:
             if entry.number <= consumed_number:
                 for row, _ in enumerate(consume(chain, entry, archive, spacecraft_id), start=1):
                     if row % _ENTRIES_AT_ONCE == 0:
                         # an alignment brings all rows after its epoch
-                        yield back._replace(entries_left=consumed_number - position)
+                        yield consumed_number - position
         position = entries[-1].number if entries else consumed_number
-    yield back
 
 
 def restored_checkpoint(
@@ -161,6 +148,12 @@ def restored_checkpoint(
             chain.restore(state)
             return found
     return None
+
+
+def numbered_alignments(results: Results, spacecraft_id: str) -> list[tuple[int, int]]:
+    """Return journal number and epoch of every alignment of a spacecraft."""
+    alignments = results.alignments(spacecraft_id)
+    return [(results.alignment_number(spacecraft_id, each.id), each.epoch_us) for each in alignments]
 
 
 def state_of(spacecraft_id: str, found: Checkpoint) -> ChainState | None:

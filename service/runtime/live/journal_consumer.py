@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache, partial
 from itertools import islice, zip_longest
 from typing import NamedTuple
 
@@ -12,26 +13,10 @@ from service.pipeline.inputs.knowledge import KEPT_US
 from service.pipeline.inputs.polarization import KEPT_US as POLARIZATION_US
 from service.ports.archive import Archive, Outcome, Results
 from service.ports.storage import Catalogue
-from service.records.calibration import Alignment, Calibration, Window
-from service.records.catalogue import CarrierPlan, Ephemeris
+from service.records.calibration import Window
 from service.records.epoch import US_PER_S
-from service.records.inputs import (
-    AlignmentSet,
-    CalibrationActivation,
-    Correction,
-    JournalEntry,
-    PolarizationRecord,
-    TelemetryRecord,
-    WeatherReport,
-)
-from service.records.levels.attitude import (
-    AppliedCommand,
-    AttitudeRow,
-    CarrierResults,
-    ReleasedCommand,
-    ReportedCommand,
-    TorqueCommand,
-)
+from service.records.inputs import AlignmentSet, CalibrationActivation, JournalEntry
+from service.records.levels.attitude import AttitudeRow, CarrierResults, TorqueCommand
 from service.records.levels.measurement import Measurement
 from service.records.operations.release import InterlockHold
 from service.runtime.live.live_feed import Cursor, FeedEvent, Seen
@@ -51,40 +36,13 @@ BLOCK_ROWS = 128
 
 
 class DocumentCache:
-    """Immutable documents of one spacecraft by number, each read once."""
+    """Immutable documents of one spacecraft by number, each read once: plans, ephemerides, calibrations, alignments."""
 
     def __init__(self, catalogue: Catalogue, results: Results, spacecraft_id: str) -> None:
-        self._catalogue = catalogue
-        self._results = results
-        self._spacecraft_id = spacecraft_id
-        self._plans: dict[int, CarrierPlan] = {}
-        self._ephemerides: dict[int, Ephemeris] = {}
-        self._calibrations: dict[int, Calibration] = {}
-        self._alignments: dict[int, Alignment] = {}
-
-    def plan(self, plan_id: int) -> CarrierPlan:
-        """Return a carrier plan."""
-        if plan_id not in self._plans:
-            self._plans[plan_id] = self._catalogue.plan(self._spacecraft_id, plan_id)
-        return self._plans[plan_id]
-
-    def ephemeris(self, ephemeris_id: int) -> Ephemeris:
-        """Return an ephemeris."""
-        if ephemeris_id not in self._ephemerides:
-            self._ephemerides[ephemeris_id] = self._catalogue.ephemeris(self._spacecraft_id, ephemeris_id)
-        return self._ephemerides[ephemeris_id]
-
-    def calibration(self, calibration_id: int) -> Calibration:
-        """Return a calibration that has its result."""
-        if calibration_id not in self._calibrations:
-            self._calibrations[calibration_id] = self._results.calibration(self._spacecraft_id, calibration_id)
-        return self._calibrations[calibration_id]
-
-    def alignment(self, alignment_id: int) -> Alignment:
-        """Return an alignment."""
-        if alignment_id not in self._alignments:
-            self._alignments[alignment_id] = self._results.alignment(self._spacecraft_id, alignment_id)
-        return self._alignments[alignment_id]
+        self.plan = cache(partial(catalogue.plan, spacecraft_id))
+        self.ephemeris = cache(partial(catalogue.ephemeris, spacecraft_id))
+        self.calibration = cache(partial(results.calibration, spacecraft_id))
+        self.alignment = cache(partial(results.alignment, spacecraft_id))
 
 
 class Trip(NamedTuple):
@@ -149,38 +107,23 @@ def update_before(chain: Chain, archive: Archive, spacecraft_id: str, before_num
             "polarization": Window(since_us - POLARIZATION_US, _FOR_EVER_US),
         }
         for kind, of_kind in windows.items():
-            entries += [e for e in _inputs(archive, spacecraft_id, kind, of_kind) if e.number < before_number]
+            entries += [e for e in every_input(archive, spacecraft_id, kind, of_kind) if e.number < before_number]
     for entry in sorted(entries, key=lambda entry: entry.number):
         if not isinstance(entry.content, Measurement):
             chain.update(entry.content)
 
 
-def _inputs(archive: Archive, spacecraft_id: str, kind: str, window: Window) -> Iterator[JournalEntry]:
-    """Yield the slow inputs of a kind that overlap a window."""
+def every_input(
+    archive: Archive, spacecraft_id: str, kind: str, window: Window, *, is_compared: bool = False
+) -> Iterator[JournalEntry]:
+    """Yield the slow inputs of a kind that overlap a window, in order of start and number."""
     after: tuple[int, int] | None = None
     while True:
-        page = archive.inputs(spacecraft_id, kind, window, _INPUTS_AT_ONCE, after, is_compared=False)
+        page = archive.inputs(spacecraft_id, kind, window, _INPUTS_AT_ONCE, after, is_compared=is_compared)
         yield from page
         if len(page) < _INPUTS_AT_ONCE:
             return
-        after = (_start_us(page[-1]), page[-1].number)
-
-
-def _start_us(entry: JournalEntry) -> int:
-    """Return where a commanded motion starts or a record of a sensor stands, by which pages are ordered."""
-    content = entry.content
-    if isinstance(content, TelemetryRecord | WeatherReport | PolarizationRecord):
-        return content.epoch_us
-    if isinstance(content, Correction):
-        return content.start_us
-    if isinstance(content, AppliedCommand):
-        return content.command.epoch_us
-    if isinstance(content, ReleasedCommand):
-        return content.released_us
-    if isinstance(content, ReportedCommand):
-        return content.reported_us
-    message = f"journal entry {entry.number} is no commanded motion, telemetry, weather or polarisation"
-    raise TypeError(message)
+        after = page[-1].start_us or 0, page[-1].number
 
 
 #: what makes results of another kind than those before

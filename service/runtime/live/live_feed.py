@@ -2,7 +2,7 @@
 
 import asyncio
 import threading
-from collections import Counter, deque
+from collections import Counter, defaultdict, deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
@@ -346,8 +346,8 @@ def _details(details: CarrierDetails | None, position: int) -> CarrierDetails | 
     return None if np.isnan(statistics).all() else CarrierDetails(*statistics)
 
 
-#: rows of one spacecraft, 200 bytes each at 32 carriers; fewer would not outlast a stop of a second
-_KEPT_ROWS = 16_384
+#: journal numbers of one spacecraft, 200 bytes a row at 32 carriers; fewer would not outlast a stop of a second
+_MOST_ROWS = 16_384
 
 
 class _Stored(NamedTuple):
@@ -361,41 +361,13 @@ class _Stored(NamedTuple):
     rows: tuple[Measurement, ...] | None
 
 
-class _Kept:
-    """The newest batches of one spacecraft."""
-
-    def __init__(self) -> None:
-        self.batches: deque[_Stored] = deque()
-        self.rows = 0
-
-    def add(self, stored: _Stored) -> None:
-        """Add the newest and let go of the oldest."""
-        self.batches.append(stored)
-        self.rows += stored.receipt.accepted
-        while self.rows > _KEPT_ROWS:
-            self.drop_first()
-
-    def pop_next(self, number: int) -> _Stored | None:
-        """Give away the batch with the row behind a number, if it is here; what lies before it is let go of."""
-        while self.batches and self.batches[0].last <= number:
-            self.drop_first()
-        if not self.batches or self.batches[0].first > number + 1:
-            return None
-        return self.drop_first()
-
-    def drop_first(self) -> _Stored:
-        """Let go of the oldest."""
-        stored = self.batches.popleft()
-        self.rows -= stored.receipt.accepted
-        return stored
-
-
 class FreshRows:
     """Rows by spacecraft; safe from any thread."""
 
     def __init__(self) -> None:
         self._lock = Lock()
-        self._kept: dict[str, _Kept] = {}
+        #: newest batches of each spacecraft
+        self._batches: defaultdict[str, deque[_Stored]] = defaultdict(deque)
 
     def stored(
         self, batch: MeasurementBatch, receipt: BatchReceipt, rows: tuple[Measurement, ...] | None = None
@@ -404,11 +376,13 @@ class FreshRows:
 
         ``rows`` are its records where somebody has built them already.
         """
-        if receipt.first_number is not None and is_whole(batch, receipt) and receipt.accepted <= _KEPT_ROWS:
+        if receipt.first_number is not None and is_whole(batch, receipt) and receipt.accepted <= _MOST_ROWS:
             last = receipt.first_number + receipt.accepted - 1
             with self._lock:
-                kept = self._kept.setdefault(batch.spacecraft_id, _Kept())
-                kept.add(_Stored(receipt.first_number, last, batch, receipt, rows))
+                batches = self._batches[batch.spacecraft_id]
+                batches.append(_Stored(receipt.first_number, last, batch, receipt, rows))
+                while last - batches[0].first >= _MOST_ROWS:
+                    batches.popleft()
 
     def after(self, spacecraft_id: str, number: int, limit: int) -> list[JournalEntry]:
         """Return some entries that follow a journal number without gap, none where they are not here.
@@ -418,10 +392,12 @@ class FreshRows:
         taken: list[_Stored] = []
         reached = number
         with self._lock:
-            kept = self._kept.setdefault(spacecraft_id, _Kept())
-            while reached < number + limit and (stored := kept.pop_next(reached)) is not None:
-                taken.append(stored)
-                reached = stored.last
+            batches = self._batches[spacecraft_id]
+            while batches and batches[0].last <= number:
+                batches.popleft()
+            while batches and reached < number + limit and batches[0].first <= reached + 1:
+                taken.append(batches.popleft())
+                reached = taken[-1].last
         rows = (row for each in taken for row in each.rows or stored_rows(each.batch, each.receipt))
         return [JournalEntry(row.number, row) for row in rows if row.number > number]
 

@@ -572,9 +572,10 @@ class Supervisor:
         back = self.restarts.chain(spacecraft_id, head.consumed_number)
         if back is None:
             return None
+        chain, kept_us = back
         number, command = head.consumed_number, self._storage.results.newest_command(spacecraft_id, LIVE)
         newest = NewestResults(number, head.result_sequence, number, {}, command, {}, number)
-        follower = _Follower(spacecraft_id, back.chain, turn, number, head.consumed_epoch_us, newest, back.kept_us)
+        follower = _Follower(spacecraft_id, chain, turn, number, head.consumed_epoch_us, newest, kept_us)
         self._followers[spacecraft_id] = follower
         self._publisher.begin(spacecraft_id, follower.consumed_number)
         return follower

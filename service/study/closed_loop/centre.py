@@ -51,7 +51,6 @@ from service.records.operations.release import (
 )
 from service.runtime.control.release_context import (
     KnownFacts,
-    ReleaseContext,
     ReleasePublisher,
     SpacecraftRelease,
     interlock_inputs,
@@ -137,8 +136,8 @@ class Centre:
         storage = cast("Storage", SimpleNamespace(releases=self._releases))
         audit = SimpleNamespace(append=lambda _: None)
         publisher = ReleasePublisher(audit, LiveFeed(), lambda _: None)
-        release = SpacecraftRelease(facts.spacecraft.id, storage.releases, publisher, self.settings, "flight")
-        self._context = ReleaseContext(release, storage, self.settings, self.torque, known=facts)
+        parts = storage, publisher, self.settings, self.torque, "flight"
+        self._release = release = SpacecraftRelease(facts.spacecraft.id, *parts, known=facts)
         # signs are proven for the version that the interlock has seen
         proven = replace(release.state.interlock, inputs=facts.inputs)
         release.state = replace(release.state, interlock=proven)
@@ -149,12 +148,12 @@ class Centre:
         self.chain.update(content)
         if self.chain.knowledge.ephemeris is not ephemeris:
             self._ephemeris_us = self._now_us
-        self._context.known = self._facts()
+        self._release.known = self._facts()
 
     def on_input(self, reports: Sequence[CommandReport]) -> None:
         """Take what the spacecraft has reported of commands."""
         for report in reports:
-            if self._context.spacecraft.control.mode is ControlMode.ONBOARD:
+            if self._release.spacecraft.control.mode is ControlMode.ONBOARD:
                 self._on_impulse(report)
             elif report.counter in self._releases.by_counter:
                 self._on_report(report)
@@ -166,21 +165,21 @@ class Centre:
         self._now_us = measurement.epoch_us
         if outcome is None:
             return ControllerOutput(is_inhibited=True)
-        context, at, known = self._context, self._at(), len(self._releases.products)
+        release, at, known = self._release, self._at(), len(self._releases.products)
         self._command = outcome.command or self._command
-        inputs = interlock_inputs(context.facts, at.now_us, lease_holders=1, is_disagreeing=False)
-        if inputs != context.state.interlock.inputs:
-            context.release.handle(InputsChanged(at, inputs))
+        inputs = interlock_inputs(release.facts, at.now_us, lease_holders=1, is_disagreeing=False)
+        if inputs != release.state.interlock.inputs:
+            release.handle(InputsChanged(at, inputs))
         stored = StoredRow(outcome, evidence())
-        row = context.update(stored, context.spacecraft.control.method)
+        row = release.update(stored, release.spacecraft.control.method)
         if row is not None:
-            handle_row(context, stored, row, at, may_send=True)
+            handle_row(release, stored, row, at, may_send=True)
         self._give_up(at)
         self._on_duty(at)
         self._journal()
         if outcome.applied is not None:
             self.chain.update(outcome.applied)
-        interlock = context.state.interlock
+        interlock = release.state.interlock
         schedule: tuple[Pulse, ...] = ()
         is_inhibited = interlock.state not in MAY_RELEASE
         if interlock.inputs.is_automatic and outcome.command is not None:
@@ -241,25 +240,25 @@ class Centre:
 
     def _slew_stop_us(self, command: Command) -> int:
         """Return when the last pulse of a command's slew ends."""
-        slew_s = self.torque.slew_share * self._context.spacecraft.control.command_period_s
+        slew_s = self.torque.slew_share * self._release.spacecraft.control.command_period_s
         begun_us = command.start_us + microseconds(slew_s)
         return max(pulse.stop_us for pulse in command.schedule if pulse.start_us <= begun_us)
 
     def _report(self, event: Report) -> None:
-        self._context.release.handle(event)
-        judge_report(self._context, event)
+        self._release.handle(event)
+        judge_report(self._release, event)
 
     def _give_up(self, at: Instant) -> None:
         """Report commands whose report is overdue as failed: nothing of them was executed."""
-        for command in self._context.state.commands:
+        for command in self._release.state.commands:
             if command.state in UNREPORTED and at.now_us >= command.stop_us + microseconds(_REPORT_TIMEOUT_S):
                 self._report(Report(at, command.counter, CommandTransition.FAILED))
 
     def _on_duty(self, at: Instant) -> None:
         """Do what the two persons on duty do."""
-        if release_refusal(self._context.spacecraft) is not None:
+        if release_refusal(self._release.spacecraft) is not None:
             return
-        handle, interlock = self._context.release.handle, self._context.state.interlock
+        handle, interlock = self._release.handle, self._release.state.interlock
         self.trips = tuple(dict.fromkeys((*self.trips, *(condition.word for condition in interlock.trips))))
         if interlock.state is State.TRIPPED and _OWN_TRIPS.issuperset(interlock.trips):
             handle(Order(at, _OPERATOR, OrderKind.RESET))
@@ -267,7 +266,7 @@ class Centre:
             handle(Order(at, _OPERATOR, OrderKind.ARM))
         elif interlock.state is State.RECOVERY:
             self._lead_back(at)
-        interlock = self._context.state.interlock
+        interlock = self._release.state.interlock
         if interlock.state is State.ARMED:
             until_us = at.now_us + microseconds(self.settings.longest_authorisation_s)
             for by in (_OPERATOR, _APPROVER):
@@ -275,13 +274,13 @@ class Centre:
 
     def _lead_back(self, at: Instant) -> None:
         """Release a single command by two persons, once a command period."""
-        context = self._context
-        newest_us = max((each.released_us or 0 for each in context.state.commands), default=0)
-        period_us = microseconds(context.spacecraft.control.command_period_s)
-        is_busy = any(each.state in OPEN or each.state in UNREPORTED for each in context.state.commands)
+        release = self._release
+        newest_us = max((each.released_us or 0 for each in release.state.commands), default=0)
+        period_us = microseconds(release.spacecraft.control.command_period_s)
+        is_busy = any(each.state in OPEN or each.state in UNREPORTED for each in release.state.commands)
         if is_busy or at.now_us - newest_us < period_us:
             return
-        command = requested(context, CommandRequest("back to the range of automatic control"), at)
-        if context.release.handle(Prepare(at, _OPERATOR, command)).refusal is None:
-            prepared = context.state.commands[-1]
-            context.release.handle(Confirm(at, _APPROVER, prepared.counter, prepared.digest, is_approver=True))
+        command = requested(release, CommandRequest("back to the range of automatic control"), at)
+        if release.handle(Prepare(at, _OPERATOR, command)).refusal is None:
+            prepared = release.state.commands[-1]
+            release.handle(Confirm(at, _APPROVER, prepared.counter, prepared.digest, is_approver=True))

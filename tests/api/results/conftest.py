@@ -58,7 +58,6 @@ from service.records.levels.attitude import Axes
 from service.records.levels.measurement import CarrierDetails, Measurement, MeasurementBatch
 from service.records.operations.work import Job, JobKind, JobState, Replay
 from service.runtime.alarms.alarm_service import AlarmService
-from service.runtime.alarms.notifications import NoticeChannels
 from service.runtime.control.release_context import ReleasePublisher
 from service.runtime.control.release_service import ReleaseService
 from service.runtime.jobs.alignment_service import Aligner
@@ -251,7 +250,7 @@ async def bench(storage: SqlStorage) -> AsyncIterator[Bench]:
         clock=clock,
         supervisor=Supervisor(storage, feed, config),
         # its thread is not started: tests look when they want to
-        alarms=AlarmService(storage, clock, feed, condition_table(AlarmConfig(), RobustConfig()), NoticeChannels()),
+        alarms=AlarmService(storage, clock, feed, condition_table(AlarmConfig(), RobustConfig())),
         feed=feed,
         calibrator=Calibrator(storage, clock, jobs.notify, 2),
         aligner=Aligner(storage, clock, AlignmentConfig()),

@@ -15,7 +15,6 @@ from service.records.levels.attitude import Axes, Status, row_without_attitude
 from service.records.levels.measurement import Measurement, MeasurementBatch
 from service.records.operations.work import LinkReport
 from service.runtime.alarms.alarm_service import AlarmService
-from service.runtime.alarms.notifications import NoticeChannels
 from service.runtime.live.live_feed import LiveFeed
 from service.runtime.live.supervisor import StepFailures
 
@@ -30,11 +29,10 @@ ABSENT = ("carrier_absent", "c1")
 RAISED = ("raised", True, *ABSENT)
 
 
-class Notices(NoticeChannels):
+class Notices:
     """Remembers what is offered."""
 
     def __init__(self):
-        super().__init__()
         self.reported = []
         self.is_running = False
 
@@ -62,7 +60,7 @@ class Rig:
         feed = LiveFeed()
         feed.publish = lambda spacecraft_id, events: self.events.extend(events)
         conditions = condition_table(AlarmConfig(), RobustConfig())
-        self.desk = AlarmService(self.storage, self.clock, feed, conditions, self.notices, failures=self.failures)
+        self.desk = AlarmService(self.storage, self.clock, feed, conditions, (self.notices,), failures=self.failures)
 
     def row(self, minute, *power_dbm, is_late=False, pitch_deg=None):
         epoch_us = START + round(minute * MINUTE)

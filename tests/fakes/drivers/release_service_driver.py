@@ -198,10 +198,10 @@ class ReleaseServiceDriver:
 
     def prove(self, *axes: str) -> None:
         """Let sign checks have proven some axes."""
-        context = self.service._context(SC)
+        release = self.service._release(SC)
         for axis in axes:
-            at = self.service._instant(context, SC)
-            context.release.handle(SignJudged(at, axis, SignState.PLUS))
+            at = self.service._instant(release)
+            release.handle(SignJudged(at, axis, SignState.PLUS))
 
     def armed(self) -> "ReleaseServiceDriver":
         self.rows(12)

@@ -141,8 +141,8 @@ class ScriptedReleaseService:
         views = (self.command_view, later)
         return [view for view, position in zip(views, positions, strict=True) if position > after][: page[1]]
 
-    def uplink(self, spacecraft_id: str, counter: int) -> UplinkProduct:
-        self._answer("uplink", spacecraft_id, counter)
+    def product(self, spacecraft_id: str, form: ProductForm, counter: int) -> UplinkProduct:
+        self._answer("product", spacecraft_id, form, counter)
         return PRODUCT
 
     def attitude_uplink(self, spacecraft_id: str) -> UplinkProduct:

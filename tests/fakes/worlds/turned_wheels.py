@@ -6,7 +6,7 @@ import numpy as np
 
 from analyzer_sim.world.scenario.story import Scenario, WheelTelemetry
 from analyzer_sim.world.spacecraft.telemetry import reported_momentum
-from service.core.estimation.calibration_turns import recommended_turns
+from service.core.estimation.design import recommended_turns
 
 MINUTE_US = 60_000_000
 #: about roll, pitch, yaw

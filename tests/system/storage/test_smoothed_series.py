@@ -16,7 +16,7 @@ from service.records.calibration import Window
 from service.records.catalogue import Method
 from service.records.epoch import US_PER_S, format_epoch
 from service.runtime.clock import system_now_us
-from service.runtime.jobs.smoothing import LaggedOrder, LaggedRun
+from service.runtime.jobs.smoothing import LaggedRun
 
 pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(900), pytest.mark.nightly]
 
@@ -44,8 +44,8 @@ def made_from(url):
     try:
         window = Window(at(-100), at(1000))
         stored = storage.results.attitude_rows(SC, SMOOTHED, Method.ROBUST_SMOOTHED, window, 10_000, None)
-        order = LaggedOrder(grid_us(at(0) + GRID_US - 1), storage.archive.head(SC).consumed_number, LAG_MIN * MINUTE)
-        return stored, LaggedRun(storage, ChainConfig(), SC, order).run().rows
+        order = LAG_MIN * MINUTE, grid_us(at(0) + GRID_US - 1), storage.archive.head(SC).consumed_number
+        return stored, [*LaggedRun(storage, ChainConfig(), SC, *order).steps()][-1].rows
     finally:
         storage.close()
 

@@ -179,7 +179,7 @@ HOOK = {"alarm_webhook_url": "http://hook.test/"}
 )
 def test_channels_are_those_of_the_settings(given, names):
     desk = build_alarms(Settings.model_validate(given), None, SystemClock(), LiveFeed(), lambda: 1, StepFailures())
-    assert [channel.name for channel in desk.notices.channels] == names
+    assert [channel.name for channel in desk.channels] == names
 
 
 def test_limits_by_default_come_from_the_settings():

@@ -14,11 +14,12 @@ set of coefficients, and the errors that carriers share (the downlink gradients)
 """
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from service.core.arrays import BoolArray, FloatArray, IntArray
+from service.core.arrays import BoolArray, FloatArray
 from service.core.estimation.calibration.calibration_bins import Means, Stretches, still_stretches, stretch_means
 from service.core.estimation.calibration.checks.sensor_axes import (
     FreeResponse,
@@ -42,8 +43,9 @@ from service.core.estimation.calibration.geometry_columns import (
     symmetric_matrix,
 )
 from service.core.estimation.calibration.joint_tukey import JointProblem, SeparableFit, fit_jointly
-from service.core.estimation.calibration.whitened_fit import ColouredNoise, coloured_noise, whitened_fit
+from service.core.estimation.calibration.whitened_fit import coloured_noise, whitened_fit
 from service.core.estimation.noise_identification import IdentifiedNoise, identify_noise
+from service.core.estimation.robust import middle_values
 
 #: s, longest stretch that is averaged.
 STRETCH_S = 600.0
@@ -85,67 +87,48 @@ class CalibrationRows(NamedTuple):
     midnight_s: float = 0.0
 
 
-class GeometryCalibration(NamedTuple):
-    """Calibration of N carriers; NaN for a carrier seen too little.
+@dataclass(frozen=True, slots=True)
+class GeometryCoefficients:
+    """Coefficients of N carriers, as an archive keeps them; NaN for a carrier seen too little."""
 
-    Parameters
-    ----------
-    level_dbm : ndarray, shape (N,), dBm
-        h.
-    daily : ndarray, shape (N, 3) or (N, 4)
-        b1, b2 in dB/deg and k in dB/deg^2, or two harmonics in dB.
-    gradient : ndarray, shape (N, 2), dB/deg
-        Of all beams at the station, azimuth and elevation.
-    hessian : ndarray, shape (N, 3), dB/deg^2
-        az az, az el, el el.
-    downlink : ndarray, shape (R, 2), dB/deg
-        Gradient of each band at the receiving site.
-    covariance : ndarray, shape (N, K, K)
-        Of a carrier's level, daily, gradient and Hessian in this order, errors of ``downlink`` included.
-    downlink_covariance : ndarray, shape (2 R, 2 R), dB^2/deg^2
-        Of the downlink gradients.
-    downlink_gain : ndarray, shape (N, K, 2 R)
-        Change of a carrier's coefficients with the downlink gradients.
-    noise : ColouredNoise
-        White part and correlated parts of each carrier's own; the common part is in ``identified``.
-    residual_rms_db : ndarray, shape (N,), dB
-        Of the stretches, weighted as in the fit.
-    residual_db : ndarray, shape (T, N), dB
-        Of all rows, NaN where absent or without attitude.
-    weight : ndarray, shape (T, N)
-        Robust weight that the row's stretch had; 0 for impulses and absent samples.
-    stretches_used : ndarray of int, shape (N,)
-        Stretches with a weight above one half.
-    is_dish_law : bool
-        Whether ``daily`` is the dish law.
-    identified : IdentifiedNoise or None
-        Noise of the quiet rows with its common part; None when the figures come from an archive.
-    solar_db : ndarray, shape (N, 2), dB, or None
-        Cosine and sine of the solar day; None when the figures come from an archive.
-    offsets : StationOffsets or None
-        Where the data want the stations; None when the figures come from an archive.
-    free : FreeResponse or None
-        Answer with free slopes, by which the sensor's axes are judged; None when the figures come from an archive.
-    """
-
+    #: (N,) dBm, h
     level_dbm: FloatArray
+    #: (N, 3) b1, b2 in dB/deg and k in dB/deg^2, or (N, 4) two harmonics in dB
     daily: FloatArray
+    #: (N, 2) dB/deg, of all beams at the station, azimuth and elevation
     gradient: FloatArray
+    #: (N, 3) dB/deg^2, az az, az el, el el
     hessian: FloatArray
+    #: (R, 2) dB/deg, gradient of each band at the receiving site
     downlink: FloatArray
+    #: (N, K, K) of a carrier's level, daily, gradient and Hessian in this order, errors of ``downlink`` included
     covariance: FloatArray
+    #: (2 R, 2 R) dB^2/deg^2, of the downlink gradients
     downlink_covariance: FloatArray
+    #: (N, K, 2 R) change of a carrier's coefficients with the downlink gradients
     downlink_gain: FloatArray
-    noise: ColouredNoise
-    residual_rms_db: FloatArray
-    residual_db: FloatArray
-    weight: FloatArray
-    stretches_used: IntArray
+    #: whether ``daily`` is the dish law
     is_dish_law: bool
-    identified: IdentifiedNoise | None = None
-    solar_db: FloatArray | None = None
-    offsets: StationOffsets | None = None
-    free: FreeResponse | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GeometryCalibration(GeometryCoefficients):
+    """Fit of N carriers: coefficients, and what the fit leaves of T rows."""
+
+    #: of the quiet rows
+    noise: IdentifiedNoise
+    #: (N,) dB, of the stretches, weighted as in the fit
+    residual_rms_db: FloatArray
+    #: (T, N) dB, of all rows, NaN where absent or without attitude
+    residual_db: FloatArray
+    #: (T, N) robust weight that the row's stretch had; 0 for impulses and absent samples
+    weight: FloatArray
+    #: (N, 2) dB, cosine and sine of the solar day
+    solar_db: FloatArray
+    #: where the data want the stations
+    offsets: StationOffsets
+    #: answer with free slopes, by which the sensor's axes are judged
+    free: FreeResponse
 
 
 def fit_geometry(rows: CalibrationRows, geometry: CarrierGeometry) -> GeometryCalibration:
@@ -183,7 +166,7 @@ def fit_geometry(rows: CalibrationRows, geometry: CarrierGeometry) -> GeometryCa
     day = solar_columns(rows.midnight_s + rows.epoch_s, carriers)
     own = np.concatenate([np.ones((*daily.shape[:2], 1)), daily, day, beam], axis=-1)
     columns = np.concatenate([own, downlink], axis=-1)
-    rough_dbm = _rough_level_dbm(rows.power_dbm)
+    rough_dbm = np.nan_to_num(middle_values(rows.power_dbm)[0])
     # two rows at least, from whose difference the scatter of samples is told
     stretch_s = max(STRETCH_S, 2.5 * _row_period_s(rows.epoch_s))
     stretches = still_stretches(rows.epoch_s, rows.attitude_deg, stretch_s)
@@ -199,20 +182,18 @@ def fit_geometry(rows: CalibrationRows, geometry: CarrierGeometry) -> GeometryCa
     is_good = means.is_kept & (_row_weights(residual.shape, stretches, weight) > _NOISE_WEIGHT)
     identified = _identified_noise(residual, is_good, rows)
     fit = whitened_fit(problem, prior, identified, weight, is_dish_law=is_dish_law)
-    result = _result(rows, columns, (stretches, means), (fit, weight, identified), (rough_dbm, is_seen, is_dish_law))
     attitude, noise = _stretch_attitude(rows.attitude_deg, stretches), coloured_noise(identified)
-    return result._replace(
+    residual = _row_residuals(rows.power_dbm - rough_dbm, columns, fit)
+    return GeometryCalibration(
+        **_coefficients(fit, rough_dbm, is_seen),
+        is_dish_law=is_dish_law,
+        noise=identified,
+        residual_rms_db=np.where(is_seen, _weighted_rms_db(means, fit, weight), math.nan),
+        residual_db=residual,
+        weight=_row_weights(residual.shape, stretches, weight) * means.is_kept,
         offsets=station_offsets(problem, attitude, geometry, (fit, prior), noise),
         free=fit_free_response(problem, turned, prior, means.white_db, noise),
     )
-
-
-def _rough_level_dbm(power_dbm: FloatArray) -> FloatArray:
-    """Return the median level (N,), 0 for a carrier never seen."""
-    ordered = np.sort(power_dbm, axis=0)
-    middle = np.maximum(np.isfinite(power_dbm).sum(axis=0) - 1, 0) // 2
-    rough = ordered[middle, np.arange(power_dbm.shape[1])]
-    return np.where(np.isnan(rough), 0.0, rough)
 
 
 def _problem(rows: CalibrationRows, stretches: Stretches, means: Means, own_size: int) -> JointProblem:
@@ -267,52 +248,37 @@ def _identified_noise(residual: FloatArray, is_good: BoolArray, rows: Calibratio
     return identify_noise(np.where(is_good, residual, math.nan)[quiet], rows.epoch_s[quiet])
 
 
-def _kept_positions(own_size: int) -> IntArray:
-    """Return the places of level, daily, gradient and Hessian among the own coefficients."""
-    solar = own_size - BEAM_SIZE - SOLAR_SIZE
-    return np.delete(np.arange(own_size), [solar, solar + 1])
-
-
-def _result(
-    rows: CalibrationRows,
-    columns: FloatArray,
-    thinned: tuple[Stretches, Means],
-    fitted: tuple[SeparableFit, FloatArray, IdentifiedNoise],
-    facts: tuple[FloatArray, BoolArray, bool],
-) -> GeometryCalibration:
-    """Return the calibration, carriers seen too little as NaN."""
-    (stretches, means), (fit, weight, identified), (rough_dbm, is_seen, is_dish_law) = thinned, fitted, facts
-    residual = _row_residuals(rows.power_dbm - rough_dbm, columns, fit)
+def _weighted_rms_db(means: Means, fit: SeparableFit, weight: FloatArray) -> FloatArray:
+    """Return the root mean square (N,) of what the fit leaves of the stretches."""
     misfit = means.power_db - (means.columns @ _all_coefficients(fit)[..., np.newaxis])[..., 0]
-    rms = np.sqrt((weight * misfit**2).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-9))
+    return np.asarray(np.sqrt((weight * misfit**2).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-9)))
+
+
+def _coefficients(fit: SeparableFit, rough_dbm: FloatArray, is_seen: BoolArray) -> dict[str, FloatArray]:
+    """Return the coefficients by name, those of carriers seen too little as NaN."""
     own = np.where(is_seen[:, np.newaxis], fit.own, math.nan)
-    kept = _kept_positions(own.shape[1])
-    return GeometryCalibration(
-        level_dbm=own[:, 0] + rough_dbm,
-        daily=own[:, 1 : -BEAM_SIZE - SOLAR_SIZE],
-        solar_db=own[:, -BEAM_SIZE - SOLAR_SIZE : -BEAM_SIZE],
-        gradient=own[:, -BEAM_SIZE:-3],
-        hessian=own[:, -3:],
-        downlink=fit.shared.reshape(-1, 2),
-        covariance=np.where(is_seen[:, np.newaxis, np.newaxis], fit.own_covariance[:, kept][:, :, kept], math.nan),
-        downlink_covariance=fit.shared_covariance,
-        downlink_gain=fit.gain[:, kept],
-        noise=coloured_noise(identified),
-        residual_rms_db=np.where(is_seen, rms, math.nan),
-        residual_db=residual,
-        weight=_row_weights(residual.shape, stretches, weight) * means.is_kept,
-        stretches_used=(weight > 0.5).sum(axis=1).astype(np.int64),
-        is_dish_law=is_dish_law,
-        identified=identified,
-    )
+    solar, beam = own.shape[1] - BEAM_SIZE - SOLAR_SIZE, own.shape[1] - BEAM_SIZE
+    stored = np.delete(np.arange(own.shape[1]), np.arange(solar, beam))
+    covariance = fit.own_covariance[:, stored][:, :, stored]
+    return {
+        "level_dbm": own[:, 0] + rough_dbm,
+        "daily": own[:, 1:solar],
+        "solar_db": own[:, solar:beam],
+        "gradient": own[:, beam:-3],
+        "hessian": own[:, -3:],
+        "downlink": fit.shared.reshape(-1, 2),
+        "covariance": np.where(is_seen[:, np.newaxis, np.newaxis], covariance, math.nan),
+        "downlink_covariance": fit.shared_covariance,
+        "downlink_gain": fit.gain[:, stored],
+    }
 
 
-def response_of(calibration: GeometryCalibration, geometry: CarrierGeometry) -> QuadraticResponse:
+def response_of(calibration: GeometryCoefficients, geometry: CarrierGeometry) -> QuadraticResponse:
     """Return the answer to the attitude, with the errors of the calibration.
 
     Parameters
     ----------
-    calibration : GeometryCalibration
+    calibration : GeometryCoefficients
         N carriers.
     geometry : CarrierGeometry
         The same as in the fit.
@@ -341,13 +307,13 @@ def response_of(calibration: GeometryCalibration, geometry: CarrierGeometry) -> 
 
 
 def predict_level_dbm(
-    calibration: GeometryCalibration, geometry: CarrierGeometry, motion: OrbitMotion | None, phase_rad: FloatArray
+    calibration: GeometryCoefficients, geometry: CarrierGeometry, motion: OrbitMotion | None, phase_rad: FloatArray
 ) -> FloatArray:
     """Return the levels at zero attitude, the daily change included.
 
     Parameters
     ----------
-    calibration : GeometryCalibration
+    calibration : GeometryCoefficients
         N carriers.
     geometry : CarrierGeometry
         The same as in the fit.

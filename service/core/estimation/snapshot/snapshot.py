@@ -8,9 +8,9 @@ import numpy as np
 
 from service.core.arrays import BoolArray, FloatArray, IntArray
 from service.core.estimation.calibration.geometry_columns import QuadraticResponse, response_errors
+from service.core.estimation.robust import TUKEY_SIGMAS, middle_values
 from service.core.estimation.snapshot.snapshot_steps import (
     PRIOR_WEIGHT,
-    TUKEY_SIGMAS,
     Measured,
     efficient_weight,
     linearised,
@@ -20,54 +20,6 @@ from service.core.estimation.snapshot.snapshot_steps import (
     trimmed_start,
     tukey_cost,
 )
-
-#: Sigmas beyond which a carrier has less than five per cent of Tukey's weight.
-GATE_SIGMAS = 4.685 * math.sqrt(1.0 - math.sqrt(0.05))
-#: Quantile of the normal distribution for nine in ten.
-_NINE_IN_TEN = 1.2815515655446004
-_MIN_REDUNDANCY = 1e-6
-
-
-class FaultBounds(NamedTuple):
-    """Bounds of T fixes: detectable_db (T, N) in dB, shift_deg (T, N, 3) in deg."""
-
-    detectable_db: FloatArray
-    shift_deg: FloatArray
-
-
-def fault_bounds(design: FloatArray, gain: FloatArray, sigma_db: FloatArray) -> FaultBounds:
-    """Return the bounds of every carrier.
-
-    Parameters
-    ----------
-    design : ndarray, shape (T, N, U)
-        Derivative of the model by the unknowns, the attitude first.
-    gain : ndarray, shape (T, U, N)
-        Change of the unknowns with the deviations.
-    sigma_db : ndarray, shape (T, N), dB
-        NaN for absent carriers.
-
-    Returns
-    -------
-    FaultBounds
-        NaN for absent carriers; the shift of a carrier that nothing checks is infinite in the angles it moves.
-
-    Examples
-    --------
-    >>> design = np.concatenate([np.eye(3), np.eye(3)])[np.newaxis]
-    >>> bounds = fault_bounds(design, 0.5 * np.swapaxes(design, 1, 2), np.full((1, 6), 0.1))
-    >>> bounds.detectable_db[0, 0].round(3), bounds.shift_deg[0, 0].round(3)
-    (np.float64(1.007), array([0.503, 0.   , 0.   ]))
-    """
-    redundancy = 1.0 - np.einsum("tnu,tun->tn", design, gain)
-    is_checked = redundancy > _MIN_REDUNDANCY
-    safe = np.where(is_checked, redundancy, 1.0)
-    seen_db = sigma_db * (GATE_SIGMAS + _NINE_IN_TEN * np.sqrt(np.minimum(safe, 1.0))) / safe
-    detectable = np.where(is_checked | np.isnan(sigma_db), seen_db, math.inf)
-    moves = np.swapaxes(gain, 1, 2)[..., :3]
-    size = np.where(moves == 0.0, 0.0, detectable[..., np.newaxis])
-    return FaultBounds(detectable, size * moves)
-
 
 #: Cost that a group's own level must save; chance saves this much once in 2000 rows.
 GROUP_PENALTY = 6.0
@@ -148,18 +100,12 @@ def _hypotheses(
     outside = inverse**2 * (1.0 - members)
     for _ in range(2):
         theta = newton_step(linearised(model, measured, theta), theta, outside, (prior, np.diag(prior)))
-    theta[..., 4] = _middle(linearised(model, measured, theta).residual_db, members * (inverse > 0.0))
+    is_member = (members > 0.0) & (inverse > 0.0)
+    residual_db = np.where(is_member, linearised(model, measured, theta).residual_db, math.nan)
+    theta[..., 4] = np.nan_to_num(middle_values(residual_db, axis=-1)[0])
     theta = robust_fit(model, measured, theta, inverse)
     cost = tukey_cost(linearised(model, measured, theta).residual_db * inverse).sum(axis=-1)
     return cost, theta
-
-
-def _middle(residual_db: FloatArray, is_member: FloatArray) -> FloatArray:
-    """Return the (lower) median (T, G) over the members present, 0 where there is none."""
-    ordered = np.sort(np.where(is_member > 0.0, residual_db, np.inf), axis=-1)
-    count = (is_member > 0.0).sum(axis=-1)
-    middle = np.take_along_axis(ordered, np.maximum(count - 1, 0)[..., np.newaxis] // 2, axis=-1)[..., 0]
-    return np.where(count > 0, middle, 0.0)
 
 
 #: One carrier more than unknowns.
@@ -200,8 +146,6 @@ class Snapshots(NamedTuple):
         :class:`CarrierUse`.
     group : ndarray of int, shape (T,)
         Label of the group found moved, -1 = none.
-    spread : ndarray, shape (T,)
-        Root mean square of the used carriers' residuals over their sigmas, freed of the unknowns; about 1.
     carriers_used : ndarray of int, shape (T,)
         Carriers neither absent nor excluded.
     """
@@ -215,7 +159,6 @@ class Snapshots(NamedTuple):
     weight: FloatArray
     use: IntArray
     group: IntArray
-    spread: FloatArray
     carriers_used: IntArray
 
 
@@ -334,9 +277,7 @@ def _assembled(row: _Row, sigma: FloatArray, theta: FloatArray, membership: Floa
     alone = np.maximum(sigma**2 - np.square(shared).sum(axis=-1), 0.0)
     through = gain @ shared
     covariance = (gain * alone[:, np.newaxis]) @ np.swapaxes(gain, -1, -2) + through @ np.swapaxes(through, -1, -2)
-    unknowns = 4 + (group >= 0)
     count = is_used.sum(axis=1)
-    spread = np.sqrt((is_used * np.square(residual / sigma)).sum(axis=1) / np.maximum(count - unknowns, 1))
     is_fix = is_determined & (count >= MIN_CARRIERS + (group >= 0))
     use = np.select(
         [~row.is_present, is_excluded, membership > 0.0],
@@ -357,7 +298,6 @@ def _assembled(row: _Row, sigma: FloatArray, theta: FloatArray, membership: Floa
         weight=weight,
         use=use.astype(np.int64),
         group=np.where(is_fix, group, -1),
-        spread=blank(spread),
         carriers_used=count.astype(np.int64),
     )
 

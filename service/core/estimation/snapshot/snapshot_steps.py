@@ -7,15 +7,16 @@ import numpy as np
 
 from service.core.arrays import BoolArray, FloatArray, IntArray
 from service.core.estimation.calibration.geometry_columns import QuadraticResponse, predict_jacobian
+from service.core.estimation.robust import TUKEY_SIGMAS, tukey_weight
 
-#: Sigmas at which Tukey's weight becomes zero; 95 % efficient on normal noise.
-TUKEY_SIGMAS = 4.685
 #: Sigmas up to which a carrier keeps its full weight at the end.
 CORE_SIGMAS = 2.5
 #: 1/deg^2 and 1/dB^2, added to normal matrices of 4 and 5 unknowns: a thousand degrees, so it moves no figure.
 _RIDGE = {unknowns: 1e-6 * np.eye(unknowns) for unknowns in (4, 5)}
 #: Passes with Tukey's weight before the efficient one takes over.
 _TUKEY_PASSES = 4
+#: Limit of all passes, and the largest last step, deg and dB.
+_PASSES, _TOLERANCE = 40, 1e-10
 #: deg, no step and no answer goes further than this: the quadratic means nothing there.
 ATTITUDE_LIMIT_DEG = 3.0
 
@@ -101,18 +102,6 @@ def newton_step(
     return np.asarray(moved)
 
 
-def tukey_weight(standardised: FloatArray) -> FloatArray:
-    """Return Tukey's biweight, 1 in the middle and 0 from ``TUKEY_SIGMAS`` on.
-
-    Examples
-    --------
-    >>> tukey_weight(np.array([0.0, 4.685, 9.0]))
-    array([1., 0., 0.])
-    """
-    inside = np.maximum(1.0 - np.square(standardised / TUKEY_SIGMAS), 0.0)
-    return np.asarray(inside**2)
-
-
 def efficient_weight(standardised: FloatArray) -> FloatArray:
     """Return a weight that is 1 up to ``CORE_SIGMAS`` and falls to 0 at ``TUKEY_SIGMAS``.
 
@@ -144,8 +133,6 @@ def robust_fit(
     measured: Measured,
     theta: FloatArray,
     inverse_sigma: FloatArray,
-    tolerance: float = 1e-10,
-    passes: int = 40,
 ) -> FloatArray:
     """Return the unknowns of the M-estimate nearest to a start: Tukey's weights first, then the efficient ones.
 
@@ -159,24 +146,20 @@ def robust_fit(
         Start, good enough to tell the outliers.
     inverse_sigma : ndarray, shape (..., N), 1/dB
         Zero for absent carriers.
-    tolerance : float
-        Largest last step, deg and dB.
-    passes : int
-        Limit of steps.
 
     Returns
     -------
     ndarray, shape (..., U)
     """
     square = np.square(inverse_sigma)
-    for pass_number in range(passes):
+    for pass_number in range(_PASSES):
         at = linearised(model, measured, theta)
         standardised = at.residual_db * inverse_sigma
         weigh = tukey_weight if pass_number < _TUKEY_PASSES else efficient_weight
         moved = newton_step(at, theta, weigh(standardised) * square)
         step = float(np.abs(moved - theta).max(initial=0.0))
         theta = moved
-        if step < tolerance and pass_number > _TUKEY_PASSES:
+        if step < _TOLERANCE and pass_number > _TUKEY_PASSES:
             break
     return theta
 

@@ -14,10 +14,10 @@ import pytest
 
 from db.storage import SqlStorage
 from service.errors import ConflictError, InvalidInputError, StorageError, UnavailableError
+from service.pipeline.calibration.geometry_rows import CalibrationError
 from service.records.operations.work import Job, JobKind, JobState
 from service.runtime.jobs import job_runner
 from service.runtime.jobs.job_runner import (
-    JobAbortedError,
     JobPieces,
     JobRunner,
     JobWorker,
@@ -125,7 +125,7 @@ def test_jobs_of_a_kind_are_done_one_after_another_and_say_how_far_they_are(stor
 @pytest.mark.parametrize(
     ("error", "text"),
     [
-        (JobAbortedError("no turns in the window"), "no turns in the window"),
+        (CalibrationError("no turns in the window"), "no turns in the window"),
         (ConflictError("thing.busy", "wait"), "thing.busy: wait"),
         (KeyError("c05"), "internal error, see the log: KeyError('c05')"),
     ],

@@ -259,7 +259,7 @@ def test_batches_that_were_not_stored_whole_are_not_kept(fresh, first, accepted)
 
 
 def test_the_oldest_go_when_there_are_too_many(fresh, monkeypatch):
-    monkeypatch.setattr(module, "_KEPT_ROWS", 5)
+    monkeypatch.setattr(module, "_MOST_ROWS", 5)
     store(fresh, 1, 6)
     for first in (7, 9, 11):
         store(fresh, first, 2)

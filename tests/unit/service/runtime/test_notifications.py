@@ -19,8 +19,15 @@ from service.client.backoff import Backoff
 from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.config import AlarmConfig, RobustConfig
 from service.records.operations.alarms import AlarmChange, ChangeKind, Severity
-from service.runtime.alarms.delivery import Mail, MailRoute, Webhook
-from service.runtime.alarms.notifications import ATTEMPTS, DeliveryError, NoticeChannel, NoticeChannels, notice_of
+from service.runtime.alarms.notifications import (
+    ATTEMPTS,
+    DeliveryError,
+    Mail,
+    MailRoute,
+    NoticeChannel,
+    Webhook,
+    notice_of,
+)
 
 S = 1_000_000
 CONDITIONS = condition_table(AlarmConfig(), RobustConfig())
@@ -162,14 +169,6 @@ def test_a_receiver_that_hangs_makes_nobody_wait_and_the_oldest_notices_are_drop
             channel.offer(change(sequence))
         assert (channel.waiting, channel.counts.dropped) == (3, 997)
         release.set()
-
-
-def test_every_channel_begins_is_told_and_ends():
-    told = [], []
-    with running(NoticeChannels([channel_to(each.append) for each in told])) as both:
-        both.offer(change())
-        wait_for(lambda: [len(each) for each in told] == [1, 1])
-    assert [channel._thread.is_alive() for channel in both.channels] == [False, False]
 
 
 def test_what_is_not_to_be_told_or_matters_less_is_not_offered():

@@ -53,7 +53,7 @@ def test_ten_good_minutes_arm_and_two_persons_release(driver):
     assert (released.state, released.confirmed_by, released.released_us) == ("RELEASED", "bob", driver.clock.now)
     assert driver.releases.released[0].schedule == command.schedule
     assert driver.notified == [SC]
-    product = driver.service.uplink(SC, 1)
+    product = driver.releases.product(SC, ProductForm.TORQUES, 1)
     assert (product.counter, product.digest, product.schedule) == (1, command.digest, command.schedule)
     assert (product.is_simulated, product.valid_until_us) == (False, command.start_us)
 
@@ -441,7 +441,7 @@ def test_under_the_data_clock_only_simulated_craft_get_commands():
     driver.clock.is_of_data = True
     driver.armed()
     assert driver.sent().is_simulated
-    assert driver.service.uplink(SC, 1).is_simulated
+    assert driver.releases.product(SC, ProductForm.TORQUES, 1).is_simulated
 
 
 def test_facts_of_the_archive_reach_the_interlock(driver):

@@ -190,4 +190,4 @@ def test_the_turn_of_its_own_check_does_not_stop_it():
     driver.rows(1, lag_s=0.0, evidence=record.evidence())
     assert driver.view.sign_check.state == "interrupted"
     assert GOOD.inhibitions == ()
-    assert driver.service._context(SC).state.commands[0].state in (CommandState.CANCELLED, CommandState.REJECTED)
+    assert driver.service._release(SC).state.commands[0].state in (CommandState.CANCELLED, CommandState.REJECTED)

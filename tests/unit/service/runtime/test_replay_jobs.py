@@ -139,7 +139,8 @@ def run_of(station, **changes):
 
 def in_one_go(station, **changes):
     version, run = run_of(station, **changes)
-    run().run()
+    for _ in run().pieces():
+        pass
     return version
 
 

@@ -55,7 +55,8 @@ def run(station, version, kill_after=None):
 
     storage = with_part(station.storage, "results", save_outcomes=save_outcomes)
     try:
-        ReplayRun(storage, ChainConfig(), SC, version).run()
+        for _ in ReplayRun(storage, ChainConfig(), SC, version).pieces():
+            pass
     except KilledError:
         assert kill_after is not None
     return len(saves)

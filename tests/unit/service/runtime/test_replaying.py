@@ -4,7 +4,6 @@ import math
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import replace
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -17,13 +16,12 @@ from service.pipeline.config import ChainConfig
 from service.ports.archive import LIVE
 from service.records.calibration import CalibrationMethod
 from service.records.catalogue import BodyRateSensor, ControlLaw, GyroOrbitantGains, Method, Polarimeter, WheelMomentum
-from service.records.inputs import JournalEntry, PlanChange, PolarizationRecord, TelemetryRecord
+from service.records.inputs import PolarizationRecord, TelemetryRecord
 from service.records.levels.attitude import AppliedCommand, Axes
 from service.records.operations.work import Replay
 from service.records.storage import worst
 from service.runtime.jobs import replay as replay_run
 from service.runtime.jobs.replay import ReplayRun
-from service.runtime.live.journal_consumer import update_before
 
 RATE_ERRORS = {"bias_deg_h": 0.01, "bias_tau_h": 8.0, "noise_deg_sqrt_h": 0.003}
 
@@ -99,15 +97,6 @@ def test_commanded_motion_is_read_in_pages(busy, monkeypatch):
     version = busy.replay(112, 135)
     live = busy.rows(Method.ROBUST, start=112, stop=135)
     assert text(busy.rows(Method.ROBUST, version)) == text(live)
-
-
-def test_pages_of_anything_but_commanded_motion_are_refused(monkeypatch):
-    monkeypatch.setattr("service.runtime.live.journal_consumer._INPUTS_AT_ONCE", 1)
-    archive = Mock()
-    archive.slow_inputs_before.return_value = []
-    archive.inputs.return_value = [JournalEntry(7, PlanChange(1))]
-    with pytest.raises(TypeError, match="journal entry 7 is no commanded motion"):
-        update_before(Mock(), archive, SC, 50, 0)
 
 
 def test_what_telemetry_told_before_an_alignment_holds_after_a_restart_and_in_a_replay(opened_archive, new_station):
@@ -288,7 +277,8 @@ def test_one_that_was_killed_begins_again_and_gives_the_same_rows(busy, monkeypa
         next(killed)
     run = ReplayRun(busy.storage, ChainConfig(), SC, version)
     assert len(run.spans(1)) == 1
-    run.run()
+    for _ in run.pieces():
+        pass
     assert text(smoothed(busy, version)) == text(smoothed(busy, whole))
     assert text(busy.rows(Method.ROBUST, version)) == text(busy.rows(Method.ROBUST, whole))
 

@@ -166,7 +166,8 @@ def test_a_restart_says_how_far_it_is_and_ends_when_the_service_stops(busy, monk
     assert [one.entries_left for one in seen] == [seen[0].entries_left - 20 * k for k in range(3)]
     assert seen[0].seconds_left is None
     assert seen[2].seconds_left > 0.0
-    assert chain_restart.ChainRestarts(busy.storage, ChainConfig(), lambda: False).chain(SC, consumed).chain.is_running
+    chain, _ = chain_restart.ChainRestarts(busy.storage, ChainConfig(), lambda: False).chain(SC, consumed)
+    assert chain.is_running
 
 
 def test_a_replay_goes_on_from_the_newest_state_before_its_span(opened_archive, new_station, often, monkeypatch):

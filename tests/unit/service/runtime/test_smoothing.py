@@ -15,7 +15,7 @@ from service.records.catalogue import Method
 from service.records.operations.work import JobKind, JobState
 from service.runtime.jobs import job_runner, smoothing
 from service.runtime.jobs.job_runner import JobPieces, JobRunner, Standing
-from service.runtime.jobs.smoothing import LaggedOrder, LaggedRun, SmoothingConfig, SmoothingDue, SmoothingWork
+from service.runtime.jobs.smoothing import LaggedRun, SmoothingConfig, SmoothingDue, SmoothingWork
 
 LAG_US = 20 * MINUTE
 
@@ -23,7 +23,8 @@ LAG_US = 20 * MINUTE
 def part_of(station, after_us, until_number=None, lag_us=LAG_US, config=None):
     """Return what a run makes behind an instant, up to a journal number."""
     until = station.storage.archive.head(SC).consumed_number if until_number is None else until_number
-    return LaggedRun(station.storage, config or ChainConfig(), SC, LaggedOrder(after_us, until, lag_us)).run()
+    run = LaggedRun(station.storage, config or ChainConfig(), SC, lag_us, after_us, until)
+    return [*run.steps()][-1]
 
 
 @pytest.fixture

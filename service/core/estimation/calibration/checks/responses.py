@@ -1,4 +1,13 @@
-"""Responses of polarimeter, wheel momentum and body rates to the calibration turns: signs, order and scales."""
+"""Responses of polarimeter, wheel momentum and body rates to the calibration turns: signs, order and scales.
+
+Torque from outside that gathers in the wheels, by their telemetry on quiet days, when sensors tell the angles:
+
+    H' = w x H + T,   T = constant + cosine cos(p) + sine sin(p),   records as in `wheel_momentum`
+
+A misalignment of the wheels about roll or yaw looks like a constant torque; days of one attitude do not tell them
+apart, but what they are together, which is what a filter needs that predicts the same wheels. Records of feeds and
+wheels are taken by the filter's own equations and its own judgement, at angles that are known.
+"""
 
 import math
 from collections.abc import Sequence
@@ -7,8 +16,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from service.core.arrays import BoolArray, FloatArray
+from service.core.arrays import BoolArray, FloatArray, IntArray
 from service.core.estimation.filtering.filter_model import (
+    ATTITUDE,
     RATE,
     FilterSettings,
     Gaussian,
@@ -16,11 +26,13 @@ from service.core.estimation.filtering.filter_model import (
     PolarimeterModel,
 )
 from service.core.estimation.filtering.motion_sensor import SensorWatch
-from service.core.estimation.filtering.plant import POLARIMETER, WANDER
-from service.core.estimation.filtering.polarimeter import (
-    AngleBlock,
-    polarimeter_covariance,
-    push_block,
+from service.core.estimation.filtering.plant import POLARIMETER, TORQUES, WANDER, torque_covariance
+from service.core.estimation.filtering.polarimeter import AngleBlock, polarimeter_covariance, push_block
+from service.core.estimation.filtering.wheel_momentum import (
+    learned_positions,
+    momentum_covariance,
+    moved_momentum,
+    push_record,
 )
 
 #: records are averaged over so much, h
@@ -73,14 +85,18 @@ def angle_response(epochs_h: FloatArray, measured_deg: FloatArray, expected_deg:
     )
     span = max(float(np.ptp(mean_h)), _BLOCK_H)
     slow = np.vander((mean_h - mean_h.mean()) / span, _SLOW_DEGREE + 1)
-    design = np.column_stack([mean_expected, slow])
-    free = len(mean_h) - design.shape[1]
-    if free < _LEAST_FREE_OF_ANGLES or np.linalg.matrix_rank(design) < design.shape[1]:
-        return unknown
-    solved = np.linalg.lstsq(design, mean_measured, rcond=None)[0]
-    scatter = float(np.square(mean_measured - design @ solved).sum()) / free
-    sigma = math.sqrt(scatter * float(np.linalg.inv(design.T @ design)[0, 0]))
-    return AngleResponse(float(solved[0]), sigma)
+    solved, sigma = _regression(np.column_stack([mean_expected, slow]), mean_measured[:, None], _LEAST_FREE_OF_ANGLES)
+    return AngleResponse(float(solved[0, 0]), float(sigma[0, 0]))
+
+
+def _regression(design: FloatArray, values: FloatArray, least_free: int) -> tuple[FloatArray, FloatArray]:
+    """Return coefficients (U, M) of values (K, M) on a design (K, U), and their sigmas by the scatter; NaN without."""
+    free, size = len(values) - design.shape[1], (design.shape[1], values.shape[1])
+    if free < least_free or np.linalg.matrix_rank(design) < design.shape[1]:
+        return np.full(size, np.nan), np.full(size, np.nan)
+    solved = np.asarray(np.linalg.lstsq(design, values, rcond=None)[0])
+    scatter = np.square(values - design @ solved).sum(axis=0) / free
+    return solved, np.sqrt(np.outer(np.linalg.inv(design.T @ design).diagonal(), scatter))
 
 
 #: behind attitude, drift and rates
@@ -238,7 +254,8 @@ def momentum_response(
     momentum = reported_n_m_s[used]
     turned = _turned(momentum, np.radians(attitude_deg[used]), inertia_kg_m2)
     slow = _slow(epochs_s[used])
-    fits = np.array([_fit_momentum(turned[:, axis], momentum[:, axis], slow) for axis in range(3)])
+    axes = [(np.column_stack([turned[:, axis], slow]), momentum[:, axis, None]) for axis in range(3)]
+    fits = np.array([[part[0, 0] for part in _regression(*one, _LEAST_FREE_OF_MOMENTUM)] for one in axes])
     mean = momentum.mean(axis=0) if len(momentum) else np.full(3, np.nan)
     return MomentumResponse(fits[:, 0], fits[:, 1], mean, int(used.sum()), int(label.max(initial=-1)) + 1)
 
@@ -271,21 +288,6 @@ def _slow(epochs_s: FloatArray) -> FloatArray:
         return np.ones((len(epochs_s), 1))
     scaled = 2.0 * (epochs_s - epochs_s[0]) / span - 1.0
     return np.polynomial.legendre.legvander(scaled, _SLOW_DEGREE)
-
-
-def _fit_momentum(turned: FloatArray, momentum: FloatArray, slow: FloatArray) -> tuple[float, float]:
-    """Return the coefficient of one axis and its sigma by the scatter of the records."""
-    free = len(momentum) - slow.shape[1] - 1
-    if free < _LEAST_FREE_OF_MOMENTUM:
-        return float("nan"), float("nan")
-    basis = np.linalg.qr(slow)[0]
-    column, value = (part - basis @ (basis.T @ part) for part in (turned, momentum))
-    size = float(column @ column)
-    if size == 0.0:
-        return float("nan"), float("nan")
-    coefficient = float(column @ value) / size
-    left = value - coefficient * column
-    return coefficient, float(np.sqrt(left @ left / free / size))
 
 
 _ORBITAL_RATE_PER_H = 0.2625162
@@ -351,7 +353,10 @@ def rate_response(epochs_h: FloatArray, reported_deg_h: FloatArray, attitude_deg
     turned = np.diff(angles, axis=0) / span
     turned += _ORBITAL_RATE_PER_H * np.column_stack([roll, -yaw, np.zeros(len(yaw))])
     used = np.isfinite(turned).all(axis=1) & np.isfinite(mean).all(axis=1) & (span[:, 0] <= _APART_H)
-    return _fit_rates(mean[used], turned[used])
+    design = np.column_stack([mean[used], np.ones(used.sum())])
+    solved, sigma = _regression(design, turned[used], _LEAST_FREE_OF_RATES)
+    spans = int(used.sum()) if np.isfinite(sigma).all() else 0
+    return RateResponse(solved[:3].T, sigma[:3].T, solved[3], sigma[3], spans)
 
 
 def _edges(epochs_h: FloatArray) -> NDArray[np.int64]:
@@ -364,14 +369,88 @@ def _edges(epochs_h: FloatArray) -> NDArray[np.int64]:
     return np.array(edges, dtype=np.int64)
 
 
-def _fit_rates(mean: FloatArray, turned: FloatArray) -> RateResponse:
-    """Return the response of the turned rates (k, 3) to the reported ones (k, 3)."""
-    design = np.column_stack([mean, np.ones(len(mean))])
-    free = len(mean) - design.shape[1]
-    if free < _LEAST_FREE_OF_RATES or np.linalg.matrix_rank(design) < design.shape[1]:
-        unknown = np.full((3, 3), np.nan)
-        return RateResponse(unknown, unknown, unknown[0], unknown[0], 0)
-    solved = np.asarray(np.linalg.lstsq(design, turned, rcond=None)[0], dtype=np.float64)
-    scatter = np.square(turned - design @ solved).sum(axis=0) / free
-    sigma: FloatArray = np.sqrt(np.outer(scatter, np.linalg.inv(design.T @ design).diagonal()))
-    return RateResponse(solved[:3].T, sigma[:, :3], solved[3], sigma[:, 3], len(mean))
+#: behind attitude, drift and rates stand the torques, then the wheels
+_FIRST_WHEEL = RATE.stop + TORQUES
+
+
+class GatheredFit(NamedTuple):
+    """Torque and errors of the telemetry in the order of `LearnedMomentum`, and the records taken."""
+
+    mean: FloatArray
+    covariance: FloatArray
+    records: int
+
+
+def gathered_torque(
+    epochs_us: IntArray,
+    reported_n_m_s: FloatArray,
+    attitude_deg: FloatArray,
+    attitude_sigma_deg: FloatArray,
+    is_unloading: BoolArray,
+    settings: FilterSettings,
+) -> GatheredFit | None:
+    """Return the torque that gathered in the wheels; None where the records contradict the model.
+
+    Parameters
+    ----------
+    epochs_us : ndarray, shape (K,), microseconds UTC
+        Epochs of the records, ascending.
+    reported_n_m_s : ndarray, shape (K, 3), N m s
+        Momentum of the wheels along roll, pitch, yaw of the body.
+    attitude_deg : ndarray, shape (K, 3), deg
+        Yaw, roll, pitch by the sensors; NaN rows take no part.
+    attitude_sigma_deg : ndarray, shape (3,), deg
+        Noise of the sensors at a record.
+    is_unloading : ndarray of bool, shape (K,)
+        Thrusters unload the wheels at the record.
+    settings : FilterSettings
+        With the momentum, its torque unknown and the only one.
+
+    Raises
+    ------
+    ValueError
+        The settings have no momentum.
+    """
+    wheels = settings.momentum
+    if wheels is None:
+        message = "a torque that gathers needs settings with the momentum of wheels"
+        raise ValueError(message)
+    gaussian, watch = _beginning(settings, momentum_covariance(settings, wheels)), SensorWatch()
+    known = np.isfinite(attitude_deg).all(axis=1) & np.isfinite(reported_n_m_s).all(axis=1)
+    newest_us = int(epochs_us[known][0]) if known.any() else 0
+    for k in np.flatnonzero(known).tolist():
+        epoch_us = int(epochs_us[k])
+        moved = moved_momentum(gaussian, _FIRST_WHEEL, newest_us, epoch_us - newest_us, settings)
+        watch, gaussian, _ = push_record(
+            watch,
+            _at_attitude(moved, attitude_deg[k], attitude_sigma_deg),
+            _FIRST_WHEEL,
+            epoch_us,
+            reported_n_m_s[k],
+            epoch_us,
+            settings,
+            wheels,
+            is_unloading=bool(is_unloading[k]),
+        )
+        newest_us = epoch_us
+    if watch.is_refused:
+        return None
+    own = learned_positions(_FIRST_WHEEL, settings)
+    return GatheredFit(gaussian.mean[own], gaussian.covariance[np.ix_(own, own)], int(known.sum()))
+
+
+def _beginning(settings: FilterSettings, sensor: FloatArray) -> Gaussian:
+    """Return the state before the first record, by the covariance of the telemetry's errors."""
+    covariance = np.zeros((_FIRST_WHEEL + len(sensor),) * 2)
+    covariance[RATE.stop : _FIRST_WHEEL, RATE.stop : _FIRST_WHEEL] = torque_covariance(settings)
+    covariance[_FIRST_WHEEL:, _FIRST_WHEEL:] = sensor
+    return Gaussian(np.zeros(len(covariance)), covariance)
+
+
+def _at_attitude(gaussian: Gaussian, attitude_deg: FloatArray, sigma_deg: FloatArray) -> Gaussian:
+    """Return the state at angles that sensors tell."""
+    mean, covariance = gaussian.mean.copy(), gaussian.covariance.copy()
+    mean[ATTITUDE] = attitude_deg
+    covariance[ATTITUDE, :] = covariance[:, ATTITUDE] = 0.0
+    covariance[ATTITUDE, ATTITUDE] = np.diag(sigma_deg**2)
+    return Gaussian(mean, covariance)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from service.core.arrays import FloatArray, IntArray
 from service.core.estimation.calibration.geometry_columns import BEAM_SIZE, CarrierGeometry, response_monomials
 from service.core.estimation.calibration.whitened_fit import ColouredNoise, stretch_variance_db2, whitened_rows
+from service.core.estimation.robust import MAD_TO_SIGMA, middle_values
 
 #: from epochs (K,), s, to yaw, roll, pitch (K, 3), deg, by the sensor; NaN = not known
 Attitude = Callable[[FloatArray], FloatArray]
@@ -34,8 +35,8 @@ _SLOW_DEGREE = 2
 _MONOMIALS = 9
 #: fewest rows beyond the unknowns, and carriers of a band from which their common change is known
 _LEAST_FREE, _LEAST_OF_BAND = 20, 3
-#: sigmas beyond which a change counts as that large; sigma over the median of a normal law; sigma of Tracy and Widom
-_HELD_SIGMAS, _NORMAL_MAD, _TRACY_WIDOM_SIGMA = 4.0, 1.4826, 1.27
+#: sigmas beyond which a change counts as that large; sigma of Tracy and Widom
+_HELD_SIGMAS, _TRACY_WIDOM_SIGMA = 4.0, 1.27
 #: share of the rows in which a carrier must be seen
 _SEEN_SHARE = 0.5
 #: the peak is a parabola within this loss of log likelihood
@@ -155,8 +156,7 @@ def _less_common(powers: TurnPowers, weight: FloatArray | None) -> TurnPowers:
         if len(members) < _LEAST_OF_BAND:
             continue
         if weight is None:
-            middle = np.maximum(seen.sum(axis=1, keepdims=True) - 1, 0) // 2
-            common = np.take_along_axis(np.sort(own, axis=1), middle, axis=1)
+            common = middle_values(own, axis=1)[0][:, np.newaxis]
         else:
             share = seen * weight[members]
             common = np.nansum(share * own, axis=1, keepdims=True)
@@ -261,7 +261,7 @@ def _shared_sigmas(epoch_s: FloatArray, missed_db: FloatArray) -> float:
     if rows <= carriers or carriers < _LEAST_OF_BAND:
         return 0.0
     # a step or an impulse of one carrier is no correlation
-    scale = np.maximum(_NORMAL_MAD * np.median(np.abs(change_db), axis=0), 1e-9)
+    scale = np.maximum(MAD_TO_SIGMA * np.median(np.abs(change_db), axis=0), 1e-9)
     held = np.clip(change_db / scale, -_HELD_SIGMAS, _HELD_SIGMAS)
     largest: float = np.linalg.eigvalsh(np.corrcoef(held.T))[-1].item()
     roots = math.sqrt(rows) + math.sqrt(carriers)

@@ -4,9 +4,15 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from service.core.estimation.noise import allan_deviation_db, grouped_spectra, quantisation_step_db, regular_grid
+from service.core.estimation.noise import (
+    allan_deviation_db,
+    averaged_sigma_db,
+    grouped_spectra,
+    quantisation_step_db,
+    regular_grid,
+    split_noise,
+)
 from service.core.estimation.noise_identification import LADDER_S, UNSEEN_DB, identify_noise
-from service.core.estimation.noise_model import averaged_sigma_db, split_noise
 
 EPOCHS_S = 60.0 * np.arange(4320)
 

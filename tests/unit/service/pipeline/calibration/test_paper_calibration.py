@@ -138,7 +138,7 @@ def test_a_window_of_turns_without_rows(payload):
 def test_a_silent_star_tracker(payload):
     data = payload.calibration_input()
     text = refusal(replace(data, references=()))
-    assert "only 0 rows of the turns have angles of star_tracker" in text
+    assert "only 0 rows of the window of turns have angles of star_tracker" in text
     assert "send the sensor's references or name another source" in text
 
 
@@ -155,7 +155,7 @@ def test_readings_too_far_from_the_rows_do_not_count(payload):
     sparse = replace(
         track, epochs_us=track.epochs_us[::60], attitude_deg=track.attitude_deg[::60], sigma_deg=track.sigma_deg[::60]
     )
-    assert "rows of the turns have angles" in refusal(replace(data, references=(sparse,)))
+    assert "rows of the window of turns have angles" in refusal(replace(data, references=(sparse,)))
 
 
 @pytest.mark.parametrize(("axis", "side", "name"), [(0, 1, "+yaw"), (1, -1, "-roll"), (2, 1, "+pitch")])

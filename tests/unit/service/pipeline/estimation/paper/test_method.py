@@ -8,7 +8,7 @@ import synthetic_payload as synthetic
 from paper_rows import expected_dbm, reject
 
 from service.core.estimation.filtering.filter_model import FilterSettings
-from service.core.estimation.noise_model import averaged_sigma_db
+from service.core.estimation.noise import averaged_sigma_db
 from service.core.estimation.paper.loop_observer import known_motion
 from service.core.estimation.paper.row import LEVEL, RESULT, write_fix
 from service.core.estimation.paper.snapshot import predict_deviation_db
