@@ -6,7 +6,7 @@ from functools import cache, partial
 from itertools import islice, zip_longest
 from typing import NamedTuple
 
-from service.pipeline.chain import Chain
+from service.pipeline.chain import Chain, ChainRow
 from service.pipeline.control.command.control_design import withheld_command
 from service.pipeline.control.release.events import StoredRow
 from service.pipeline.inputs.knowledge import KEPT_US
@@ -14,6 +14,7 @@ from service.pipeline.inputs.polarization import KEPT_US as POLARIZATION_US
 from service.ports.archive import Archive, Outcome, Results
 from service.ports.storage import Catalogue
 from service.records.calibration import Window
+from service.records.catalogue import Release
 from service.records.epoch import US_PER_S
 from service.records.inputs import AlignmentSet, CalibrationActivation, JournalEntry
 from service.records.levels.attitude import AttitudeRow, CarrierResults, TorqueCommand
@@ -31,8 +32,8 @@ _INPUTS_AT_ONCE = 1000
 _FOR_EVER_US = _EVERY_NUMBER = 1 << 62
 
 
-#: rows that the chain takes at once where nobody looks at it between them
-BLOCK_ROWS = 128
+#: rows that the chain takes at once where nobody looks at it between them, and of a live journal
+BLOCK_ROWS, _LIVE_ROWS = 128, 16
 
 
 class DocumentCache:
@@ -138,6 +139,15 @@ class StepResults:
     seen: list[Seen] = field(default_factory=list)
     released: list[StoredRow] = field(default_factory=list)
 
+    def note(self, chain: Chain, rows: Sequence[ChainRow], *, is_watched: bool) -> None:
+        """Note what came of rows; alarms, where somebody watches, are not told of late ones."""
+        for row in rows:
+            if row.outcome is not None:
+                self.outcomes.append(row.outcome)
+                self.released.append(StoredRow(row.outcome, row.command_evidence()))
+            if is_watched and row.measurement.feeds_estimator and not row.measurement.is_late:
+                self.seen.append(chain.facts(row))
+
     @property
     def has_applied(self) -> bool:
         """Return whether the newest command counts as applied."""
@@ -147,6 +157,17 @@ class StepResults:
         """Remove the torque from rows that are later than a trip."""
         self.outcomes = [without_torque_after(trips, outcome) for outcome in self.outcomes]
         self.released = [one._replace(outcome=without_torque_after(trips, one.outcome)) for one in self.released]
+
+
+def rows_from(entries: Sequence[JournalEntry], first: int, chain: Chain) -> list[Measurement]:
+    """Return the rows that stand together from a place on, as many as are consumed in one go."""
+    spacecraft, rows = chain.knowledge.spacecraft, []
+    is_automatic = spacecraft is not None and spacecraft.control.release is Release.AUTOMATIC
+    for entry in entries[first : first + (1 if is_automatic else _LIVE_ROWS)]:
+        if not isinstance(entry.content, Measurement):
+            break
+        rows.append(entry.content)
+    return rows
 
 
 def result_events(

@@ -17,19 +17,18 @@ from functools import partial
 from typing import Literal, NamedTuple
 
 from service.errors import NotFoundError, StorageError
-from service.pipeline.chain import Chain, ChainRow
+from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
-from service.pipeline.control.release.events import StoredRow
 from service.ports.archive import LIVE, Outcome
 from service.ports.storage import Storage, Term
-from service.records.catalogue import LIVE_METHODS, Method, Release
+from service.records.catalogue import LIVE_METHODS, Method
 from service.records.inputs import AlignmentSet, AttitudeReference, Correction, JournalEntry
 from service.records.levels.attitude import AppliedCommand, AttitudeRow, CarrierState, ReleasedCommand, TorqueCommand
 from service.records.levels.measurement import BatchReceipt, HeadState, Measurement, MeasurementBatch
 from service.records.storage import Checkpoint
 from service.runtime.clock import system_now_us
 from service.runtime.live.chain_restart import PERIOD_US, ChainRestarts, checkpoint_of
-from service.runtime.live.journal_consumer import StepResults, consume, result_events, trips_after
+from service.runtime.live.journal_consumer import StepResults, consume, result_events, rows_from, trips_after
 from service.runtime.live.leadership import always, is_moving
 from service.runtime.live.live_feed import FeedEvent, FreshRows, LiveFeed, Relay, ReleaseWatcher, RowPublisher, Watcher
 
@@ -45,8 +44,6 @@ _PAUSE_S = 0.005
 _STEP_S = 0.02
 #: what waits for a spacecraft is consumed so long before the others have their turn
 _BLOCK_S = 0.05
-#: rows that stand together in a journal and are consumed in one go; a command that counts as applied ends each
-_ROWS_AT_ONCE = 16
 #: a question about the newest row waits so long for a step under way, s
 _ANSWER_S = 0.5
 #: a journal may have grown by anything
@@ -532,8 +529,8 @@ class Supervisor:
             if isinstance(content, AlignmentSet):
                 break
             if isinstance(content, Measurement):
-                rows = chain.rows(_rows_from(entries, index, chain))
-                self._note(chain, rows, step)
+                rows = chain.rows(rows_from(entries, index, chain))
+                step.note(chain, rows, is_watched=self._watcher is not None)
                 index += len(rows)
             else:
                 chain.update(content)
@@ -542,15 +539,6 @@ class Supervisor:
             if step.has_applied or time.monotonic() >= until_s:
                 break
         return entries[index:]
-
-    def _note(self, chain: Chain, rows: Sequence[ChainRow], step: StepResults) -> None:
-        """Note what came of rows; alarms are not told of late rows."""
-        for row in rows:
-            if row.outcome is not None:
-                step.outcomes.append(row.outcome)
-                step.released.append(StoredRow(row.outcome, row.command_evidence()))
-            if self._watcher is not None and row.measurement.feeds_estimator and not row.measurement.is_late:
-                step.seen.append(chain.facts(row))
 
     def _note_row(self, spacecraft_id: str, outcome: Outcome) -> None:
         """Note whether a row could be computed by every method."""
@@ -602,14 +590,3 @@ class Supervisor:
                 )
             except Exception:  # noqa: BLE001 a stop goes on; the next start takes an older checkpoint
                 _LOG.warning("the state of %s was not stored at the stop", spacecraft_id, exc_info=True)
-
-
-def _rows_from(entries: Sequence[JournalEntry], first: int, chain: Chain) -> list[Measurement]:
-    """Return the rows that stand together from a place on, as many as are consumed in one go."""
-    spacecraft, rows = chain.knowledge.spacecraft, []
-    is_automatic = spacecraft is not None and spacecraft.control.release is Release.AUTOMATIC
-    for entry in entries[first : first + (1 if is_automatic else _ROWS_AT_ONCE)]:
-        if not isinstance(entry.content, Measurement):
-            break
-        rows.append(entry.content)
-    return rows

@@ -299,10 +299,7 @@ def _take_row(
             commanded = Commanded(commanded.motions, np.zeros((2, 3)), commanded.since_us)
         update_estimate(mean, covariance, after.pending["angles_deg"][due], after.pending["noise_deg2"][due])
     _forget_fixes(after, due)
-    _write_angles(mean, covariance, model.motion.plant["coupling_per_h"][0], result)
-    estimate_us, period_us = counters["estimate_us"][0], model.motion.plant["wave_period_us"][0]
-    result["estimate_us"][0] = estimate_us
-    write_wave(result["torque_deg_h2"][0], after.mean, after.covariance, TORQUE.start, estimate_us, period_us)
+    _write_angles(model, after, mean, covariance, result)
 
 
 def _left_by_harmonic_db(model: PaperArrays, block: PaperBlock, number: int, levels: NDArray[np.void]) -> FloatArray:
@@ -449,9 +446,14 @@ def _forget_fixes(after: PaperState, count: int) -> None:
     after.counters["pending"][0] -= count
 
 
-def _write_angles(mean: FloatArray, covariance: FloatArray, coupling_per_h: float, result: NDArray[np.void]) -> None:
-    """Write the angles with sigma, and the rates, that a torque follows from."""
-    rates = rates_deg_h(mean, coupling_per_h)
+def _write_angles(
+    model: PaperArrays, after: PaperState, mean: FloatArray, covariance: FloatArray, result: NDArray[np.void]
+) -> None:
+    """Write the angles with sigma, and the rates, that a torque follows from, and the torque at the estimate."""
+    plant, estimate_us = model.motion.plant[0], after.counters["estimate_us"][0]
+    rates = rates_deg_h(mean, plant["coupling_per_h"])
     for axis in range(3):
         result["rates_deg_s"][0, axis], result["steering_deg"][0, axis] = rates[axis] / 3600.0, mean[axis]
         result["steering_sigma_deg"][0, axis] = math.sqrt(covariance[axis, axis])
+    result["estimate_us"][0], period_us = estimate_us, plant["wave_period_us"]
+    write_wave(result["torque_deg_h2"][0], after.mean, after.covariance, TORQUE.start, estimate_us, period_us)

@@ -23,6 +23,7 @@ from service.pipeline.estimation.paper.runner import PaperRunner
 from service.records.catalogue import Release, Site, Spacecraft
 from service.records.inputs import Operation
 from service.records.levels.attitude import AppliedCommand, Status
+from service.runtime.live import journal_consumer
 from service.runtime.live import supervisor as live
 from service.runtime.live.chain_restart import ChainRestarts
 from service.runtime.live.live_feed import LiveFeed
@@ -387,7 +388,7 @@ def test_spacecraft_that_wait_have_their_turns_by_blocks(tmp_path, monkeypatch):
         assert storage.archive.append_measurements(rows).result(timeout=120).accepted == 20
     # a block is one entry
     monkeypatch.setattr(live, "_BLOCK_S", 0.0)
-    monkeypatch.setattr(live, "_ROWS_AT_ONCE", 1)
+    monkeypatch.setattr(journal_consumer, "_LIVE_ROWS", 1)
     turns = []
 
     def submit_outcomes(name, *arguments):
