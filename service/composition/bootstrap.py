@@ -316,7 +316,7 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
         storage=storage,
         clock=clock,
         is_following=lambda: supervisor.is_running,
-        leaders=leading.leaders,
+        leaders=storage.leases.leaders,
         leader_silent_s=leading.silent_s,
         on_accepted=supervisor.notify,
         on_startup=start,

@@ -46,7 +46,8 @@ class JsonLogFormatter(logging.Formatter):
         }
         if request_id := REQUEST_ID.get():
             reported["request_id"] = request_id
-        reported |= {name: _field(value) for name, value in _fields_of(record).items()}
+        for name, value in _fields_of(record).items():
+            reported[name] = without_secrets(value) if isinstance(value, str) else value
         if record.exc_info:
             reported["traceback"] = without_secrets(self.formatException(record.exc_info))
         return json.dumps(reported, ensure_ascii=False, separators=(",", ":"), default=str).translate(_CONTROLS)
@@ -113,8 +114,3 @@ def _fields_of(record: logging.LogRecord) -> dict[str, Any]:
     """Return the fields of an event."""
     fields = getattr(record, "fields", None)
     return fields if isinstance(fields, dict) else {}
-
-
-def _field(value: Any) -> Any:
-    """Return a field without secrets."""
-    return without_secrets(value) if isinstance(value, str) else value

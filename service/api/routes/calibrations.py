@@ -28,6 +28,7 @@ from service.pipeline.planning.candidates import WHEEL_PERIOD_S, stated_wheels
 from service.pipeline.planning.planning import Rule
 from service.records.calibration import Calibration
 from service.records.catalogue import Method
+from service.records.operations.work import JobKind
 from service.runtime.jobs.analysis import MIN_COUNT, recommend_carriers, window_harmonics
 
 alignments_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/alignments", tags=["calibration"])
@@ -142,7 +143,9 @@ def activate_calibration(
 
 
 def _answer(context: ApiContext, spacecraft_id: str, calibration: Calibration) -> CalibrationAnswer:
-    return CalibrationAnswer.of(calibration, job=context.calibrator.job_id(spacecraft_id, calibration.id))
+    unfinished_job_of = context.storage.results.unfinished_job_of
+    job = unfinished_job_of(spacecraft_id, JobKind.CALIBRATION, str(calibration.id))
+    return CalibrationAnswer.of(calibration, job=job)
 
 
 carrier_selection_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/carrier-selection", tags=["calibration"])

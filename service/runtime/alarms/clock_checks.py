@@ -161,7 +161,7 @@ class ClockChecks:
         warned = {}
         for link in links:
             down_s[link.report.id] = self._down_s(link, now_us)
-            down_notes[link.report.id] = f"its state is {_state(link, now_us)}"
+            down_notes[link.report.id] = f"its state is {_SILENT if link.is_silent(now_us) else link.report.state}"
             for warning in link.report.warnings:
                 thing = f"{link.report.id}/{warning.code}"
                 since_us = link.reported_at_us if warning.since_us is None else warning.since_us
@@ -179,11 +179,6 @@ class ClockChecks:
             return 0.0
         since_us = self._down_since_us.setdefault(name, link.reported_at_us)
         return max((now_us - since_us) / US_PER_S, _LEAST_AGE_S)
-
-
-def _state(link: LinkState, now_us: int) -> str:
-    """Return the state as it is told."""
-    return _SILENT if link.is_silent(now_us) else link.report.state
 
 
 def _links_of(spacecraft_id: str, links: tuple[LinkState, ...]) -> list[LinkState]:

@@ -66,10 +66,6 @@ class Calibrator:
         self._notify()
         return draft, job
 
-    def job_id(self, spacecraft_id: str, calibration_id: int) -> str | None:
-        """Return the job that makes a calibration; None where it has ended."""
-        return self._storage.results.unfinished_job_of(spacecraft_id, JobKind.CALIBRATION, str(calibration_id))
-
     def activate(self, spacecraft_id: str, calibration_id: int, override_reason: str | None = None) -> Calibration:
         """Make a finished calibration the active one of its method.
 

@@ -193,7 +193,8 @@ class JobRunner:
             self._wake.clear()
             try:
                 is_busy = self.poll_once()
-                if not is_busy and self._prepare is not None and self._is_settled():
+                is_settled = time.monotonic() - self._began_s >= self.prepared_after_s
+                if not is_busy and self._prepare is not None and is_settled and self._turn(""):
                     prepare, self._prepare = self._prepare, None
                     prepare()
             except Exception as error:  # noqa: BLE001 the thread outlives every fault; jobs stay where they are
@@ -202,9 +203,6 @@ class JobRunner:
                     _LOG.warning("jobs cannot go on now, they are tried again: %s", error, exc_info=error)
             if not is_busy and not self._is_stopping:
                 self._wake.wait(POLL_S)
-
-    def _is_settled(self) -> bool:
-        return bool(self._turn("")) and time.monotonic() - self._began_s >= self.prepared_after_s
 
     def _queue_due(self) -> None:
         """Queue standing work that has come due."""

@@ -424,17 +424,13 @@ def run_span_in_process(
         storage.close()
 
 
-def _is_kept(replay: Replay, method: Method) -> bool:
-    """Return whether a replay keeps the rows of a method."""
-    return replay.method in (None, method) or method is Method.ROBUST_SMOOTHED
-
-
 def _within(outcome: Outcome, replay: Replay) -> Outcome | None:
-    """Return the part of an outcome that a replay keeps."""
+    """Return the part of an outcome that a replay keeps: rows of its span and method, and smoothed ones."""
     kept = [
         k
         for k, row in enumerate(outcome.rows)
-        if replay.start_us <= row.epoch_us < replay.stop_us and _is_kept(replay, row.method)
+        if replay.start_us <= row.epoch_us < replay.stop_us
+        and (replay.method in (None, row.method) or row.method is Method.ROBUST_SMOOTHED)
     ]
     if not kept:
         return None

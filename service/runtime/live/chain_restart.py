@@ -71,12 +71,8 @@ class ChainRestarts:
         self._storage = storage
         self._config = config
         self._is_stopping = is_stopping
-        self._under_way: Restarting | None = None
-
-    @property
-    def under_way(self) -> Restarting | None:
-        """Return the restart that is under way."""
-        return self._under_way
+        #: restart that is under way
+        self.under_way: Restarting | None = None
 
     def chain(self, spacecraft_id: str, consumed_number: int) -> tuple[Chain, int | None] | None:
         """Return the chain as it was after a journal number, and the newest epoch of the checkpoint that it began with.
@@ -95,11 +91,11 @@ class ChainRestarts:
             for left in _entries_left(chain, storage.archive, spacecraft_id, position, consumed_number):
                 passed_s = time.monotonic() - began_s
                 seconds_left = passed_s * left / (first - left) if left < first else None
-                self._under_way = Restarting(spacecraft_id, left, seconds_left)
+                self.under_way = Restarting(spacecraft_id, left, seconds_left)
                 if self._is_stopping():
                     return None
         finally:
-            self._under_way = None
+            self.under_way = None
         return chain, None if kept is None else kept.epoch_us
 
 

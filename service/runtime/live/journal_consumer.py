@@ -184,22 +184,17 @@ def result_events(
     is_whole = len(results) == last - first
     if is_whole:
         events += [
-            FeedEvent(_kind(result), Cursor(number, sequence), result, carriers)
-            for sequence, (result, carriers) in enumerate(results, start=first + 1)
+            FeedEvent(kind, Cursor(number, sequence), result, carriers)
+            for sequence, (kind, result, carriers) in enumerate(results, start=first + 1)
         ]
     if not is_whole or any(isinstance(entry.content, _RESTARTING) for entry in entries):
         events.append(FeedEvent("status", Cursor(number, last), None))
     return tuple(events)
 
 
-def _results(outcome: Outcome) -> Iterator[tuple[AttitudeRow | TorqueCommand, CarrierResults | None]]:
-    """Yield the results of a row in the order in which they are stored, with what is known of the carriers."""
+def _results(outcome: Outcome) -> Iterator[tuple[str, AttitudeRow | TorqueCommand, CarrierResults | None]]:
+    """Yield kind and results of a row in the order in which they are stored, with what is known of the carriers."""
     # nothing is known of the carriers of a late row
-    yield from zip_longest(outcome.rows, outcome.carriers)
+    yield from (("attitude", row, carriers) for row, carriers in zip_longest(outcome.rows, outcome.carriers))
     if outcome.command is not None:
-        yield outcome.command, None
-
-
-def _kind(result: AttitudeRow | TorqueCommand) -> str:
-    """Return the kind of event that tells a result."""
-    return "attitude" if isinstance(result, AttitudeRow) else "torque"
+        yield "torque", outcome.command, None

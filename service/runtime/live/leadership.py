@@ -59,10 +59,6 @@ class Leading:
         """Return the number of this process's present term of a spacecraft, 0 while another one leads it."""
         return self._term(name)
 
-    def leaders(self) -> dict[str, str]:
-        """Return the name of the process that leads each spacecraft, where the archive knows it."""
-        return self._leases.leaders()
-
     def silent_s(self) -> float:
         """Return for how long no process has been seen to lead the archive; 0 while this one does."""
         return 0.0 if self._archive_term else self._leases.silent_s()

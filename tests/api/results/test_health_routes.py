@@ -14,7 +14,7 @@ from service.ports.archive import Outcome
 from service.records.inputs import Correction, TelemetryRecord
 from service.records.levels.attitude import Axes, CarrierState
 from service.records.operations.work import LinkReport
-from service.runtime.live.chain_restart import ChainRestarts, Restarting
+from service.runtime.live.chain_restart import Restarting
 from service.runtime.log_format import JsonLogFormatter
 
 pytestmark = pytest.mark.anyio
@@ -57,7 +57,7 @@ async def test_a_service_that_catches_up_is_ready_and_says_how_long_it_takes(ben
     assert (await bench.client.get("/readyz")).json()["catching_up"] is None
     bench.append([make.now_us + k * make.s for k in range(5)])
     change(bench, monitoring=replace(bench.context.monitoring, ready_lag=3))
-    monkeypatch.setattr(ChainRestarts, "under_way", Restarting("yamal-202", 1200, 1.5))
+    monkeypatch.setattr(bench.context.supervisor.restarts, "under_way", Restarting("yamal-202", 1200, 1.5))
     answer = await bench.client.get("/readyz")
     assert answer.status_code == 200
     assert answer.json()["catching_up"] == {"spacecraft": "yamal-202", "rows_left": 1200, "seconds_left": 1.5}

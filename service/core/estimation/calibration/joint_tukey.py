@@ -258,12 +258,12 @@ def fit_jointly(problem: JointProblem, prior: FloatArray, white_db: FloatArray) 
     for _ in range(_TUKEY_PASSES):
         spread = _robust_scale(misfit, is_present)[:, np.newaxis]
         # what the spread of the stretches has beyond white noise is taken alike for all of them
-        white_share = _masked_mean(white, is_present)[:, np.newaxis]
-        sigma = np.sqrt(white + np.maximum(spread**2 - white_share, 0.0))
+        white_share = (white * is_present).sum(axis=1) / np.maximum(is_present.sum(axis=1), 1)
+        sigma = np.sqrt(white + np.maximum(spread**2 - white_share[:, np.newaxis], 0.0))
         weight = np.where(is_present, tukey_weight(misfit / sigma), 0.0)
         root = np.sqrt(weight) / sigma
         fit = _joint(problem, prior, root)
-        misfit = problem.value - _model(problem, fit)
+        misfit = problem.value - (np.einsum("nbk,nk->nb", problem.own, fit.own) + problem.shared @ fit.shared)
     return fit or _joint(problem, prior, weight), weight
 
 
@@ -275,20 +275,10 @@ def _joint(problem: JointProblem, prior: FloatArray, root: FloatArray) -> Separa
     )
 
 
-def _model(problem: JointProblem, fit: SeparableFit) -> FloatArray:
-    """Return the model (N, B) at the stretches."""
-    return np.asarray(np.einsum("nbk,nk->nb", problem.own, fit.own) + problem.shared @ fit.shared)
-
-
 def _robust_scale(misfit: FloatArray, is_present: BoolArray) -> FloatArray:
     """Return the spread (N,) of the present values from their median size."""
     size, _ = middle_values(np.where(is_present, np.abs(misfit), math.nan), axis=1)
     return np.where(np.isfinite(size), np.maximum(MAD_TO_SIGMA * size, 1e-4), 1.0)
-
-
-def _masked_mean(values: FloatArray, mask: BoolArray) -> FloatArray:
-    """Return means (N,) over the mask."""
-    return np.asarray((values * mask).sum(axis=1) / np.maximum(mask.sum(axis=1), 1))
 
 
 MIN_SAMPLES_PER_COEFFICIENT = 4

@@ -15,7 +15,7 @@ from service.records.calibration import CalibrationMethod, CalibrationState, Win
 from service.records.catalogue import Method, Onboard
 from service.records.inputs import PolarizationRecord, TelemetryRecord
 from service.records.levels.attitude import Axes
-from service.records.operations.work import Job, JobState
+from service.records.operations.work import Job, JobKind, JobState
 from service.records.storage import (
     SERIES,
     RetentionConfig,
@@ -366,7 +366,7 @@ def test_a_draft_names_its_job_until_that_has_ended(ground, fails):
     fit = calibrating.calibrate_paper
 
     def fitted(data, config):
-        named.append(ground.calibrator.job_id(ground.id, 2))
+        named.append(ground.storage.results.unfinished_job_of(ground.id, JobKind.CALIBRATION, "2"))
         if fails:
             raise ZeroDivisionError
         return fit(data, config)
@@ -374,7 +374,7 @@ def test_a_draft_names_its_job_until_that_has_ended(ground, fails):
     with patch.object(calibrating, "calibrate_paper", side_effect=fitted):
         calibration, job = run(ground, ground.payload.request)
     assert (calibration.id, named) == (2, [job.id])
-    assert ground.calibrator.job_id(ground.id, 2) is None
+    assert ground.storage.results.unfinished_job_of(ground.id, JobKind.CALIBRATION, "2") is None
 
 
 def test_measured_motion_of_the_turns_reaches_the_fit(ground, seen):
