@@ -21,7 +21,9 @@ import numpy as np
 from bench import plain_batch
 from bench.load.server_process import ServedProcess, running
 from db.storage import SqlStorage
+from service.records.calibration import Alignment
 from tests.fakes.drivers.postgresql_cluster import NoServerError, PostgresqlCluster
+from tests.fakes.worlds.geometry_flight import FlightPayload
 from tests.fakes.worlds.synthetic_payload import HOUR, MINUTE, START_US, SyntheticPayload
 
 CARRIERS = 16
@@ -75,7 +77,7 @@ def measured(cluster: PostgresqlCluster, estimators: int, spacecraft: int, rows:
     storage = SqlStorage(url)
     storage.prepare()
     for name in names:
-        prepare(storage, payload, name)
+        prepare(storage, payload, name, payload.alignment(START_US + HOUR))
     # the compiled functions are loaded, and every chain stands, before the time counts
     store(storage, payload, names, 0, 2)
     with ExitStack() as stack:
@@ -95,7 +97,7 @@ def measured(cluster: PostgresqlCluster, estimators: int, spacecraft: int, rows:
     return Run(spacecraft * rows / seconds, cpu_s / (spacecraft * rows))
 
 
-def prepare(storage: SqlStorage, payload: SyntheticPayload, name: str) -> None:
+def prepare(storage: SqlStorage, payload: SyntheticPayload | FlightPayload, name: str, alignment: Alignment) -> None:
     """Store a calibrated and aligned spacecraft."""
     storage.catalogue.add_spacecraft(replace(payload.spacecraft(), id=name))
     storage.catalogue.put_plan(name, payload.carriers(), "bench")
@@ -104,7 +106,7 @@ def prepare(storage: SqlStorage, payload: SyntheticPayload, name: str) -> None:
     draft = storage.results.add_calibration(name, known.request, 1, 1, START_US, "bench")
     storage.results.finish_calibration(name, draft.id, known.result, None)
     storage.results.activate_calibration(name, draft.id)
-    storage.results.add_alignment(name, replace(payload.alignment(START_US + HOUR), calibration_id=draft.id))
+    storage.results.add_alignment(name, replace(alignment, calibration_id=draft.id))
 
 
 def store(storage: SqlStorage, payload: SyntheticPayload, names: list[str], first: int, rows: int) -> None:

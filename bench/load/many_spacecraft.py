@@ -1,9 +1,9 @@
 """Many spacecraft in one service on SQLite: each sends ten rows of sixteen carriers a second, in batches of a second.
 
 Run ``python -m bench.load.many_spacecraft``. The service runs in this process but for its interface: writer,
-supervisor, alarms, release, jobs. Batches are stored at the pace of the clock, and the time counts until each has its
-results: what is kept up with is less than what is sent where the service falls behind. Beside it stands the processor
-time of a row, and the chain's own part of that.
+supervisor, alarms, release, jobs; both methods run, and torques are computed. Batches are stored at the pace of the
+clock, and the time counts until each has its results: what is kept up with is less than what is sent where the service
+falls behind. Beside it stands the processor time of a row, and the chain's own part of that.
 """
 
 import argparse
@@ -29,11 +29,12 @@ from service.pipeline.chain import Chain, ChainRow
 from service.records.catalogue import Release
 from service.records.levels.measurement import Measurement
 from service.records.storage import sqlite_url
-from tests.fakes.worlds.synthetic_payload import HOUR, START_US, SyntheticPayload
+from tests.fakes.worlds.geometry_flight import HOUR, START_US, FlightPayload
 
 CARRIERS = 16
 #: rows of a batch, and time between them, us
 ROWS, STEP_US = 10, 100_000
+_NOISE_DB = 0.05
 #: between two looks at what has its results, s
 _LOOK_S = 0.05
 GOAL_ROWS_PER_S, GOAL_LAG_S = 1500.0, 3.0
@@ -53,9 +54,10 @@ async def _measured(folder: Path, spacecraft: int, seconds: int) -> bool:
     settings = Settings.model_validate({"database_url": sqlite_url(str(folder / "soo.db")), "clock": "data"})
     storage = SqlStorage(settings.database_url, settings.database_timeout_s)
     storage.prepare()
-    payload, names = SyntheticPayload.make(CARRIERS, 5), [f"sc-{number:03d}" for number in range(spacecraft)]
+    payload, names = FlightPayload.make(CARRIERS, 5), [f"sc-{number:03d}" for number in range(spacecraft)]
+    alignment = payload.alignment(START_US + HOUR, angles_deg=(0.0, 0.0, 0.0))
     for name in names:
-        prepare(storage, payload, name)
+        prepare(storage, payload, name, alignment)
         record = storage.catalogue.spacecraft(name)
         # a person releases: no computed command counts as applied by itself
         two_step = replace(record, control=replace(record.control, release=Release.TWO_STEP))
@@ -74,7 +76,7 @@ async def _measured(folder: Path, spacecraft: int, seconds: int) -> bool:
 class _Run:
     """Load of some seconds."""
 
-    def __init__(self, storage: SqlStorage, context: ApiContext, payload: SyntheticPayload, names: list[str]) -> None:
+    def __init__(self, storage: SqlStorage, context: ApiContext, payload: FlightPayload, names: list[str]) -> None:
         self._storage, self._context, self._payload, self._names = storage, context, payload, names
         #: journal number and time of each batch that has no results yet
         self._sent: dict[str, list[tuple[int, float]]] = {name: [] for name in names}
@@ -83,7 +85,8 @@ class _Run:
     def send(self, batch: int) -> None:
         """Store a batch of every spacecraft."""
         epochs_us = START_US + HOUR + STEP_US * (1 + ROWS * batch + np.arange(ROWS))
-        powers = self._payload.power_dbm(epochs_us, np.zeros((ROWS, 3)), noise_db=0.05, seed=batch)
+        noise_db = np.random.default_rng(batch).normal(0.0, _NOISE_DB, (ROWS, CARRIERS))
+        powers = self._payload.power_dbm(epochs_us, np.zeros((ROWS, 3))) + noise_db
         append, sent_s = self._storage.archive.append_measurements, time.perf_counter()
         waits = [append(plain_batch(name, START_US, epochs_us, powers)) for name in self._names]
         for name, wait in zip(self._names, waits, strict=True):

@@ -12,7 +12,7 @@ from service.errors import NotFoundError
 from service.pipeline.alarms.alarm_engine import Explanation, Readings
 from service.pipeline.alarms.readings import RowReader
 from service.pipeline.control.release.command_states import UNREPORTED, State
-from service.pipeline.control.release.events import state_of
+from service.pipeline.control.release.events import ReleaseState, state_of
 from service.ports.storage import Clock, Storage
 from service.records.calibration import CalibrationState
 from service.records.epoch import US_PER_S
@@ -63,13 +63,17 @@ class ClockChecks:
         self._clock = clock
         self._grace_periods = stale_periods
         self._seen: dict[str, _Seen] = {}
+        #: newest state of each release by its version
+        self._releases: dict[str, tuple[int, ReleaseState]] = {}
         self._down_since_us: dict[str, int] = {}
 
-    def of_inputs(self, spacecraft_id: str, reader: RowReader, now_us: int) -> Iterator[Readings]:
+    def of_inputs(
+        self, spacecraft_id: str, reader: RowReader, now_us: int, every_link: tuple[LinkState, ...]
+    ) -> Iterator[Readings]:
         """Yield the readings of the inputs: age of the newest row, missing rows, links and their warnings."""
         seen = self._seen.setdefault(spacecraft_id, _Seen(now_us))
         sources = self._storage.archive.sources(spacecraft_id)
-        links = _links_of(spacecraft_id, self._storage.links.links())
+        links = _links_of(spacecraft_id, every_link)
         # a link that is down explains what no longer comes through it, and goes first
         yield from self._links(links)
         link_of = {link.report.source: Explanation(("link_down", link.report.id)) for link in links}
@@ -90,8 +94,7 @@ class ClockChecks:
 
     def of_release(self, spacecraft_id: str, now_us: int) -> Iterator[Readings]:
         """Yield the readings of the stored release of torques."""
-        releases = self._storage.releases
-        state = state_of(releases.stored(spacecraft_id).document, partial(releases.command, spacecraft_id))
+        state = self._release_state(spacecraft_id)
         since_s = max((now_us - state.interlock.since_us) / US_PER_S, _LEAST_AGE_S)
         trips = tuple(condition.word for condition in state.interlock.trips)
         yield Readings("control_tripped", trips, (since_s,) * len(trips))
@@ -100,6 +103,16 @@ class ClockChecks:
         waiting = [command for command in state.commands if command.state in UNREPORTED]
         over_s = [(now_us - max(each.stop_us, each.released_us or 0)) / US_PER_S for each in waiting]
         yield Readings("report_late", tuple(f"command {each.counter}" for each in waiting), tuple(over_s))
+
+    def _release_state(self, spacecraft_id: str) -> ReleaseState:
+        """Return the stored state of a release; one that has not changed is not decoded again."""
+        releases = self._storage.releases
+        stored = releases.stored(spacecraft_id)
+        version, state = self._releases.get(spacecraft_id, (-1, None))
+        if state is None or version != stored.version:
+            state = state_of(stored.document, partial(releases.command, spacecraft_id))
+            self._releases[spacecraft_id] = stored.version, state
+        return state
 
     def of_foundations(self, spacecraft_id: str, now_us: int) -> Iterator[Readings]:
         """Yield the readings of the documents in force: damage, ages of calibrations, end of the ephemeris."""

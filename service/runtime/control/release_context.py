@@ -2,6 +2,7 @@
 
 import logging
 import math
+import statistics
 import threading
 import time
 from collections import deque
@@ -10,9 +11,8 @@ from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
 from hashlib import sha256
+from itertools import pairwise
 from typing import Any
-
-import numpy as np
 
 from service.errors import ConflictError, NotFoundError, SooError, StorageError
 from service.pipeline.config import TorqueConfig
@@ -426,7 +426,8 @@ class SpacecraftRelease:
         """Expected time to the next row."""
         if len(self.epochs_us) < 2:
             return _DEFAULT_PERIOD_S
-        return float(np.median(np.diff(np.array(self.epochs_us)))) / US_PER_S
+        # numpy costs ten times as much on so few
+        return statistics.median(later - earlier for earlier, later in pairwise(self.epochs_us)) / US_PER_S
 
     @property
     def stale_us(self) -> int:

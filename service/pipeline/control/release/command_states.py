@@ -1,6 +1,7 @@
 """States of a command and of the interlock, as tables."""
 
 from enum import Enum
+from functools import cache
 from typing import NamedTuple
 
 from service.records.operations.release import CommandState
@@ -78,6 +79,9 @@ class State(Enum):
     BALANCE = "no angle is corrected; commands that balance the known torque may go, released as before"
     TRIPPED = "no torque may go until a person resets"
 
+    # that of Enum is a function of Python, and every row asks some hundred times
+    __hash__ = object.__hash__
+
 
 #: states in which a command that corrects angles may go
 MAY_RELEASE = frozenset({State.ARMED, State.ENGAGED, State.RECOVERY})
@@ -97,6 +101,8 @@ class Trigger(Enum):
     ENGAGE = "a person asks for standing authorisation, or joins who asked"
     DISENGAGE = "an operator takes authorisation or arming back"
     RESET = "a person resets the trip"
+
+    __hash__ = object.__hash__
 
 
 class Guard(Enum):
@@ -173,6 +179,7 @@ TRANSITIONS: tuple[Transition, ...] = (
 )
 
 
+@cache
 def rows_of(state: State, trigger: Trigger) -> tuple[Transition, ...]:
     """Return the rows of a state and a trigger, in order; none: the trigger means nothing there.
 

@@ -3,9 +3,10 @@
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from enum import Enum
 from functools import cache
+from operator import attrgetter
 from types import NoneType, UnionType
 from typing import Any, NamedTuple, get_args, get_origin, get_type_hints
 
@@ -267,7 +268,7 @@ def digest_of(counter: int, command: Command) -> str:
 
 #: what of the interlock may be lost
 _FORGOTTEN = ("row", "inputs", "innovation_since_us", "clock", "good_since_us", "standing", "since")
-_FRESH = Interlock()
+_lasting = attrgetter(*(each.name for each in fields(Interlock) if each.name not in _FORGOTTEN))
 
 
 def document_of(state: ReleaseState) -> str:
@@ -297,11 +298,11 @@ def state_of(document: str, command_of: Callable[[int], Command]) -> ReleaseStat
 
 def essence(state: ReleaseState) -> tuple[object, ...]:
     """Return what of a state must not be lost; rows and inputs are read again after a restart."""
-    interlock, check = state.interlock, state.sign_check
-    forgotten = {name: getattr(_FRESH, name) for name in _FORGOTTEN}
+    check = state.sign_check
     # impulses are kept with the release that they belong to, likelihoods with the next leg
     kept = None if check is None else replace(check, log_ratio=None)
-    return replace(state, interlock=replace(interlock, **forgotten), sent=(), sign_check=kept), interlock.configuration
+    own = state.commands, state.next_counter, state.released_epoch_us, kept
+    return *_lasting(state.interlock), state.interlock.configuration, *own
 
 
 def _plain(value: Any) -> Any:

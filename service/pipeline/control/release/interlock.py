@@ -3,7 +3,7 @@
 Law of this file: only `fire` changes the state, by a row of the table; what a state remembers follows from the row.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 from service.core.control.slew_schedule import Envelope
@@ -94,7 +94,7 @@ class Interlock:
     @property
     def inhibiting(self) -> tuple[Condition, ...]:
         """Conditions for which no torque may go."""
-        return tuple(each for each in self.standing if each.consequence in (Consequence.INHIBIT, Consequence.TRIP))
+        return tuple(each for each in self.standing if each.consequence in _INHIBITING)
 
     @property
     def may_balance(self) -> bool:
@@ -131,22 +131,21 @@ class Interlock:
         return inputs.calibration_id, inputs.plan_id, inputs.spacecraft_version, inputs.control_version
 
 
-#: triggers that an instant may bring about, in the order in which they fire
-_OF_TIME = (
-    *(Trigger.TRIP, Trigger.EXPIRE, Trigger.LAPSE, Trigger.INHIBIT, Trigger.CLEAR, Trigger.BEYOND, Trigger.WITHIN),
-)
+#: what withholds every torque
+_INHIBITING = (Consequence.INHIBIT, Consequence.TRIP)
 
 
 def settle(interlock: Interlock, at: Instant, commands: Sequence[Command], settings: ReleaseSettings) -> Interlock:
     """Return the interlock at an instant: conditions judged, and every change of state that follows."""
     standing = conditions_at(interlock, at, commands, settings)
-    settled = replace(interlock, standing=standing, clock=at)
-    settled = replace(settled, good_since_us=None if settled.inhibiting else _good_since(interlock, at))
-    for trigger in _OF_TIME:
-        if _is_due(settled, trigger, at, settings):
+    good_since_us = None if any(each.consequence in _INHIBITING for each in standing) else _good_since(interlock, at)
+    settled = replace(interlock, standing=standing, clock=at, good_since_us=good_since_us)
+    for trigger, is_due in _OF_TIME.items():
+        if rows_of(settled.state, trigger) and is_due(settled, at, settings):
             settled = fire(settled, trigger, at, settings) or settled
     known = dict(interlock.since)
-    return replace(settled, since=tuple((word, known.get(word, at.now_us)) for word in settled.reasons))
+    since = tuple((word, known.get(word, at.now_us)) for word in settled.reasons)
+    return settled if since == settled.since else replace(settled, since=since)
 
 
 def conditions_at(
@@ -179,7 +178,7 @@ def fire(
 ) -> Interlock | None:
     """Return the interlock after a trigger, None where no row of the table holds."""
     for row in rows_of(interlock.state, trigger):
-        if _holds(row.guard, interlock, at, settings, asked):
+        if _GUARDS[row.guard](interlock, at, settings, asked):
             since_us = at.now_us if row.target is not interlock.state else interlock.since_us
             return replace(_remembering(interlock, row, asked), state=row.target, since_us=since_us)
     return None
@@ -192,20 +191,9 @@ def tripped(interlock: Interlock, condition: Condition, at: Instant, settings: R
     return replace(moved, trips=latched)
 
 
-def _is_due(interlock: Interlock, trigger: Trigger, at: Instant, settings: ReleaseSettings) -> bool:
-    """Return whether an instant brings a trigger about."""
-    is_good, is_far = not interlock.inhibiting, is_beyond(interlock.row, settings)
-    authorisation = interlock.authorisation
-    due = {
-        Trigger.TRIP: bool(interlock.tripping),
-        Trigger.EXPIRE: authorisation is not None and at.now_us >= authorisation.terms.until_us,
-        Trigger.LAPSE: not interlock.may_balance,
-        Trigger.INHIBIT: not is_good,
-        Trigger.CLEAR: is_good and _has_lasted(interlock.good_since_us, at, settings.good_s),
-        Trigger.BEYOND: is_far,
-        Trigger.WITHIN: is_good and not is_far,
-    }
-    return due[trigger]
+def _may_arm(interlock: Interlock, at: Instant, settings: ReleaseSettings) -> bool:
+    """Return whether nothing has inhibited for the good minutes."""
+    return not interlock.inhibiting and _has_lasted(interlock.good_since_us, at, settings.good_s)
 
 
 def _good_since(interlock: Interlock, at: Instant) -> int:
@@ -218,26 +206,6 @@ def _good_since(interlock: Interlock, at: Instant) -> int:
 
 def _has_lasted(since_us: int | None, at: Instant, seconds: float) -> bool:
     return since_us is not None and at.now_us - since_us >= microseconds(seconds)
-
-
-def _holds(guard: Guard, interlock: Interlock, at: Instant, settings: ReleaseSettings, asked: Request | None) -> bool:
-    """Return whether a guard lets a transition happen."""
-    may_arm = not interlock.inhibiting and _has_lasted(interlock.good_since_us, at, settings.good_s)
-    is_far = is_beyond(interlock.row, settings)
-    holds = {
-        Guard.ALWAYS: True,
-        Guard.BEYOND_AND_ARMED: interlock.is_armed and is_far,
-        Guard.AUTHORISED: interlock.authorisation is not None,
-        Guard.ARMED: interlock.is_armed,
-        Guard.AFTER_RESET: interlock.is_after_reset,
-        Guard.MAY_BALANCE: interlock.may_balance,
-        Guard.MAY_ARM_BEYOND: may_arm and is_far,
-        Guard.MAY_ARM: may_arm,
-        Guard.SECOND_PERSON: _is_second(interlock.request, asked, settings),
-        Guard.FIRST_PERSON: _is_first(interlock.request, asked, settings),
-        Guard.NO_TRIP_STANDS: not interlock.tripping,
-    }
-    return holds[guard]
 
 
 def _is_second(former: Request | None, asked: Request | None, settings: ReleaseSettings) -> bool:
@@ -299,3 +267,38 @@ def _shift_us(before: Instant, at: Instant) -> int | None:
     if before.steady_us is None or at.steady_us is None:
         return None
     return (at.now_us - before.now_us) - (at.steady_us - before.steady_us)
+
+
+def _has_ended(interlock: Interlock, at: Instant) -> bool:
+    """Return whether the authorisation is over."""
+    return interlock.authorisation is not None and at.now_us >= interlock.authorisation.terms.until_us
+
+
+#: triggers that an instant may bring about, in the order in which they fire, and whether it does
+_OF_TIME: dict[Trigger, Callable[[Interlock, Instant, ReleaseSettings], bool]] = {
+    Trigger.TRIP: lambda interlock, _at, _settings: bool(interlock.tripping),
+    Trigger.EXPIRE: lambda interlock, at, _settings: _has_ended(interlock, at),
+    Trigger.LAPSE: lambda interlock, _at, _settings: not interlock.may_balance,
+    Trigger.INHIBIT: lambda interlock, _at, _settings: bool(interlock.inhibiting),
+    Trigger.CLEAR: _may_arm,
+    Trigger.BEYOND: lambda interlock, _at, settings: is_beyond(interlock.row, settings),
+    Trigger.WITHIN: lambda interlock, _at, settings: not (interlock.inhibiting or is_beyond(interlock.row, settings)),
+}
+#: whether guards let a transition happen
+_GUARDS: dict[Guard, Callable[[Interlock, Instant, ReleaseSettings, Request | None], bool]] = {
+    Guard.ALWAYS: lambda *_: True,
+    Guard.BEYOND_AND_ARMED: lambda interlock, _, settings, __: (
+        interlock.is_armed and is_beyond(interlock.row, settings)
+    ),
+    Guard.AUTHORISED: lambda interlock, *_: interlock.authorisation is not None,
+    Guard.ARMED: lambda interlock, *_: interlock.is_armed,
+    Guard.AFTER_RESET: lambda interlock, *_: interlock.is_after_reset,
+    Guard.MAY_BALANCE: lambda interlock, *_: interlock.may_balance,
+    Guard.MAY_ARM_BEYOND: lambda interlock, at, settings, _: (
+        is_beyond(interlock.row, settings) and _may_arm(interlock, at, settings)
+    ),
+    Guard.MAY_ARM: lambda interlock, at, settings, _: _may_arm(interlock, at, settings),
+    Guard.SECOND_PERSON: lambda interlock, _, settings, asked: _is_second(interlock.request, asked, settings),
+    Guard.FIRST_PERSON: lambda interlock, _, settings, asked: _is_first(interlock.request, asked, settings),
+    Guard.NO_TRIP_STANDS: lambda interlock, *_: not interlock.tripping,
+}

@@ -138,6 +138,9 @@ class Condition(Enum):
     YAW_SIGN = (Consequence.YAW, "the sign of yaw is not proven")
     DISAGREEMENT = (Consequence.ALARM, "the methods disagree in roll or pitch, by the rule of the estimator")
 
+    # that of Enum is a function of Python, and every row asks some hundred times
+    __hash__ = object.__hash__
+
     def __init__(self, consequence: Consequence, meaning: str) -> None:
         self.consequence = consequence
         self.meaning = meaning
