@@ -133,7 +133,7 @@ def calibrated(scenario, seed, share=1.0):
 def normalised_errors(scenario, seed):
     """Return errors of the slopes over their sigmas (n, 3), yaw, roll, pitch, of the carriers used."""
     world, result = calibrated(scenario, seed)
-    response = geometry_model(result.geometry, result.carriers).response
+    response = geometry_model(result.geometry).response
     column = [world.ground.carrier_ids.index(carrier.id) for carrier in result.carriers]
     error = response.slope - world.truth.sensitivity_db_per_deg[column]
     sigma = np.sqrt(np.einsum("nii->ni", response.covariance)[:, :3])

@@ -152,7 +152,7 @@ def robust_references(
     if result is None or result.geometry is None:
         message = f"calibration {calibration.id} has no part by geometry"
         raise ValueError(message)
-    model = geometry_model(result.geometry, result.carriers)
+    model = geometry_model(result.geometry)
     window = _window(series, stated, model, result, ephemeris, config)
     level_dbm = np.array(result.geometry.level_dbm)
     sigma_db = _calibration_sigma_db(result.geometry, calibration, stated.epoch_us)

@@ -177,7 +177,7 @@ def calibrate_geometry(data: CalibrationInput, config: CalibrationConfig) -> Cal
     gathered = gathered_torque(data, momentum, rows.angles.sensor_sigma_deg, config)
     sigma_db = np.hypot(white_db, joint.noise.slow_db)
     record = geometry_record(data, rows, joint, is_used)
-    error_db = daily_error_db(geometry_model(record, carriers), record, data.ephemeris, data.request.quiet.start_us)
+    error_db = daily_error_db(geometry_model(record), record, data.ephemeris, data.request.quiet.start_us)
     return CalibrationResult(
         carriers,
         observe(joint.response.slope[is_user_carrier], sigma_db[is_user_carrier]),

@@ -51,7 +51,7 @@ class GeometryModel(NamedTuple):
     response: QuadraticResponse
 
 
-def geometry_model(fit: GeometryFit, carriers: tuple[CarrierCalibration, ...]) -> GeometryModel:  # noqa: ARG001 as given
+def geometry_model(fit: GeometryFit) -> GeometryModel:
     """Return the arrays of a calibration."""
     azimuth_deg, elevation_deg = np.array(fit.station_azimuth_deg), np.array(fit.station_elevation_deg)
     is_beacon = np.isnan(azimuth_deg)

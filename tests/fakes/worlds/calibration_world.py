@@ -57,18 +57,18 @@ class CalibratedWorld:
         epochs_us = self.arrays["epoch_us"]
         epochs_us = epochs_us[(epochs_us >= start_us) & (epochs_us < start_us + DAY_US)][::10]
         fit = self.result.geometry
-        expected = ExpectedLevel(geometry_model(fit, self.result.carriers), fit, self.data.ephemeris)
+        expected = ExpectedLevel(geometry_model(fit), fit, self.data.ephemeris)
         error = np.array([expected(int(at)) for at in epochs_us]) - self._true_level_dbm(epochs_us)
         return error - error.mean(axis=1, keepdims=True)
 
     def deviation_error_db(self, attitude_deg: np.ndarray) -> np.ndarray:
         """Return predicted less true deviations (K, N) at some attitudes."""
-        model = geometry_model(self.result.geometry, self.result.carriers)
+        model = geometry_model(self.result.geometry)
         return predict_deviation(attitude_deg, model.response) - (self._gain_db(attitude_deg) - self._gain_db())
 
     def slope_errors(self) -> tuple[np.ndarray, np.ndarray]:
         """Return errors of the slopes (N, 3) in dB/deg and the same over their own sigmas."""
-        response = geometry_model(self.result.geometry, self.result.carriers).response
+        response = geometry_model(self.result.geometry).response
         steps = _DIFFERENCE_DEG * np.eye(3)
         truth = (self._gain_db(steps) - self._gain_db(-steps)).T / (2.0 * _DIFFERENCE_DEG)
         sigma = np.sqrt(np.diagonal(response.covariance, axis1=1, axis2=2))[:, :3]

@@ -319,7 +319,7 @@ def test_stations_given_twice_are_flown_all_the_same(tmp_path):
 def daily_levels(world, result):
     """Return the levels (T, N) that a calibration expects over the quiet days, an hour apart."""
     quiet = world.ground.phases["quiet"]
-    model = geometry_model(result.geometry, result.carriers)
+    model = geometry_model(result.geometry)
     expected = ExpectedLevel(model, result.geometry, world.documents.ephemerides[1])
     return np.array([expected(epoch_us) for epoch_us in range(quiet.start_us, quiet.stop_us, HOUR_US)])
 

@@ -148,7 +148,7 @@ def robust_model(
     result, fit = calibration.result, calibration.result.geometry
     if fit is None or Method.ROBUST.value not in alignment.references_by_method:
         return None
-    arrays = geometry_model(fit, result.carriers)
+    arrays = geometry_model(fit)
     former = aligned_with if aligned_with is not None and aligned_with.id != calibration.id else None
     offset_db, sigma_db = _references(result, fit, arrays, alignment, former, aligned_under or ephemeris)
     carrier_ids = tuple(carrier.id for carrier in result.carriers)
@@ -253,7 +253,7 @@ def _at_alignment(
     fit = result.geometry
     if fit is None:
         return {}
-    arrays = geometry_model(fit, result.carriers)
+    arrays = geometry_model(fit)
     means = _window_levels(arrays, ExpectedLevel(arrays, fit, ephemeris), alignment)
     names = signals([carrier.id for carrier in result.carriers], fit)
     return {name: (float(fit.level_dbm[k]), float(means[k])) for k, name in enumerate(names)}

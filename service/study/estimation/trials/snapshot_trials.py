@@ -120,7 +120,7 @@ def run_trials(seed: int) -> SnapshotTrials:
     if result is None or result.geometry is None:
         message = "the calibration holds no geometry"
         raise UndrivenError(message)
-    model = geometry_model(result.geometry, result.carriers)
+    model = geometry_model(result.geometry)
     response = model.response
     sigma_db = calm.truth.white_db / np.sqrt(ROWS_AVERAGED)
     rng = np.random.default_rng((_STREAM, seed))

@@ -143,7 +143,7 @@ def test_the_filter_counts_patterns_from_the_groups_mean_and_keeps_its_rain_away
 
 def level_of(payload, ephemeris=None, **changes):
     result = payload.calibration(**changes).result
-    model = geometry_model(result.geometry, result.carriers)
+    model = geometry_model(result.geometry)
     return ExpectedLevel(model, result.geometry, ephemeris or payload.ephemeris())
 
 
@@ -214,7 +214,7 @@ def test_a_long_replay_keeps_only_some_days(monkeypatch):
 
 def error_of(payload, ephemeris, **changes):
     result = payload.calibration(**changes).result
-    return daily_error_db(geometry_model(result.geometry, result.carriers), result.geometry, ephemeris, START_US)
+    return daily_error_db(geometry_model(result.geometry), result.geometry, ephemeris, START_US)
 
 
 def spread(payload, sigma):
@@ -253,7 +253,7 @@ def test_where_the_ephemeris_does_not_reach_no_error_is_told():
 def test_levels_of_many_epochs_leave_the_solar_day_out():
     payload = FlightPayload.make(4, has_track=False)
     result = payload.calibration().result
-    model = geometry_model(result.geometry, result.carriers)
+    model = geometry_model(result.geometry)
     at = expected_levels(model, result.geometry, payload.ephemeris())
     angle = 2.0 * np.pi * ((START_US % DAY_US) / DAY_US)
     solar = payload.solar_db @ np.array([np.cos(angle), np.sin(angle)])
@@ -269,7 +269,7 @@ CONFIG = RobustConfig()
 def test_the_response_is_that_of_turned_direction_vectors(has_track):
     payload = FlightPayload.make(has_track=has_track)
     result = payload.calibration().result
-    model = geometry_model(result.geometry, result.carriers)
+    model = geometry_model(result.geometry)
     angles = np.random.default_rng(1).uniform(-0.3, 0.3, (60, 3))
     epochs_us = np.full(60, START_US)
     truth = payload.power_dbm(epochs_us, angles) - payload.power_dbm(epochs_us, np.zeros(3))
@@ -292,8 +292,8 @@ def with_beacon(payload, k=2):
 
 def test_a_beacon_stands_at_the_receiving_site_and_tells_its_downlink():
     payload = FlightPayload.make()
-    result, fit = with_beacon(payload)
-    model = geometry_model(fit, result.carriers)
+    _, fit = with_beacon(payload)
+    model = geometry_model(fit)
     assert model.positions.latitude_deg[2] == SITE.latitude_deg
     assert model.positions.longitude_deg[2] == SITE.longitude_deg
     np.testing.assert_array_equal(model.calibration.hessian[2], 0.0)
@@ -303,7 +303,7 @@ def test_a_beacon_stands_at_the_receiving_site_and_tells_its_downlink():
     moved = np.array([0.1, -0.2])
     change = predict_deviation(angles, model.response)[2]
     assert change == pytest.approx(moved @ payload.downlink[payload.band()[2]], abs=1e-3)
-    untouched = geometry_model(payload.geometry(), result.carriers)
+    untouched = geometry_model(payload.geometry())
     others = np.arange(16) != 2
     np.testing.assert_array_equal(model.response.slope[others], untouched.response.slope[others])
 
@@ -311,7 +311,7 @@ def test_a_beacon_stands_at_the_receiving_site_and_tells_its_downlink():
 def test_the_filters_model_has_the_sizes_of_the_record():
     payload = FlightPayload.make()
     result = payload.calibration(common_noise=(NoiseComponent(3600.0, 0.04),)).result
-    arrays = geometry_model(result.geometry, result.carriers)
+    arrays = geometry_model(result.geometry)
     model = carrier_model(arrays, result.geometry, result.carriers, CONFIG)
     np.testing.assert_array_equal(model.rain_share, np.where(payload.band() == 0, 0.1, 1.0))
     np.testing.assert_array_equal(model.transponder, np.arange(16) % 4)
@@ -337,7 +337,7 @@ def test_carriers_of_other_noise_share_one_ladder_and_unlearned_ones_have_the_us
         replace(one, noise=own, sigma_white_db=sigma)
         for one, own, sigma in zip(result.carriers, noise, white, strict=True)
     )
-    arrays = geometry_model(result.geometry, carriers)
+    arrays = geometry_model(result.geometry)
     model = carrier_model(arrays, result.geometry, carriers, CONFIG)
     np.testing.assert_array_equal(model.coloured_tau_s, np.tile([60.0, 1200.0, 7200.0], (4, 1)))
     np.testing.assert_array_equal(model.coloured_sigma_db, [[0.1, 0, 0], [0, 0.09, 0], [0.2, 0, 0.3], [0, 0.09, 0]])
@@ -350,7 +350,7 @@ def test_a_carrier_without_coefficients_stands_in_the_model_with_zeros():
     fit = payload.geometry()
     gradient = ((NAN, NAN), *fit.gradient[1:])
     result = payload.calibration(gradient=gradient).result
-    arrays = geometry_model(result.geometry, result.carriers)
+    arrays = geometry_model(result.geometry)
     model = carrier_model(arrays, result.geometry, result.carriers, CONFIG)
     assert np.isfinite(model.gradient_db_deg).all()
     np.testing.assert_array_equal(model.gradient_db_deg[0], 0.0)
