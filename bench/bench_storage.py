@@ -29,7 +29,7 @@ START_US = 1_795_000_000_000_000
 #: rows of one day at a row every ten seconds
 DAY_ROWS = 8640
 #: bytes of a row over those of its powers as float32: in the table of rows, in sealed days of two decimals
-GOAL_HOT, GOAL_HOT_SERVER, GOAL_SEALED = 1.35, 1.75, 0.35
+GOAL_HOT, GOAL_HOT_SERVER, GOAL_SEALED = 1.75, 2.5, 0.35
 #: rows a second read from sealed days over those read as rows
 GOAL_READ = 2.5
 #: bytes of all sealed results of a measurement: attitude of two methods and a torque command

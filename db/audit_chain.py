@@ -5,8 +5,8 @@ from dataclasses import asdict
 from typing import TypeVar
 
 from sqlalchemy import Connection, select, update
-from sqlalchemy.dialects import postgresql, sqlite
 
+from db.connection.writer import insert_new
 from db.schema.tables import audit_entry, audit_head
 from service.records.operations.access import GENESIS, AuditEntry, AuditEvent, AuditHead, naming_result, next_entry
 
@@ -39,8 +39,6 @@ def lock_audit_head(connection: Connection) -> AuditHead:
     query = select(audit_head).with_for_update()
     row = connection.execute(query).first()
     if row is None:
-        insert = sqlite.insert if connection.dialect.name == "sqlite" else postgresql.insert
-        first = insert(audit_head).values(head_key=1, number=0, hash=GENESIS)
-        connection.execute(first.on_conflict_do_nothing())
+        insert_new(connection, audit_head, [{"head_key": 1, "number": 0, "hash": GENESIS}])
         row = connection.execute(query).one()
     return AuditHead(row.number, row.hash)

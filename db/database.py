@@ -9,7 +9,7 @@ from concurrent.futures import Future
 from contextlib import contextmanager
 from typing import Any, NamedTuple, TypeVar
 
-from sqlalchemy import ColumnElement, Connection, Row, Select, Table, and_, func, or_, select, true, update
+from sqlalchemy import ColumnElement, Connection, Row, Select, Table, and_, bindparam, func, or_, select, true, update
 
 from db.audit_chain import accompanied
 from db.connection.engines import open_engines, sqlite_path, translated_faults
@@ -24,6 +24,7 @@ from service.records.inputs import SlowInput
 from service.records.operations.access import CURRENT_NOTE
 
 Result = TypeVar("Result")
+_LOCKED_HEAD = select(head).where(head.c.spacecraft_key == bindparam("key")).with_for_update()
 
 
 class EpochSpan(NamedTuple):
@@ -152,7 +153,7 @@ class Repository:
 
 def lock_head(connection: Connection, key: int) -> Row[Any]:
     """Return the head of a spacecraft and keep every other writer of it away until the transaction ends."""
-    row = connection.execute(select(head).where(head.c.spacecraft_key == key).with_for_update()).one_or_none()
+    row = connection.execute(_LOCKED_HEAD, {"key": key}).one_or_none()
     if row is None:
         raise NotFoundError("spacecraft.unknown", "The spacecraft was deleted.")
     return row

@@ -7,7 +7,6 @@ quantity. A segment is read as its longest bins that lie within one interval eac
 
 import logging
 from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from sqlalchemy import Connection, select
 
 from db.encoding.column_blob import ColumnBlob, arrow, pack_columns
 from db.encoding.segments import SegmentHead
-from db.schema.columns import agrees, checksum_of
+from db.schema.columns import agrees
 from db.schema.tables import summary
 from service.core.arrays import IntArray
 from service.core.rows import NEVER_US, Summaries, joined
@@ -118,7 +117,7 @@ def stored_blobs(connection: Connection, ids: Sequence[int], quantity: str, bin_
         is_one = summary.c.segment_id.in_(ids[start : start + READ_AT_ONCE])
         query = select(summary).where(is_one, summary.c.quantity == quantity, summary.c.bin_s == bin_s)
         for row in connection.execute(query):
-            if agrees(row.checksum or b"", partial(checksum_of, summary, row._asdict())):
+            if agrees(summary, row):
                 found[row.segment_id] = row.content
             else:
                 _warn(row.segment_id, "its checksum differs from its content")

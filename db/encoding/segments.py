@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from sqlalchemy import ColumnElement, Connection, Table, and_, select, tuple_
 
 from db.encoding.column_blob import ColumnBlob, decimals, levels_of
-from db.encoding.record_codec import RowContent, row_content
-from db.schema.columns import agrees, checksum_of
+from db.encoding.measurement_rows import RowContent, canonical, row_content, stored_arrays
+from db.schema.columns import agrees
 from db.schema.tables import measurement, source, spacecraft
 from db.schema.tables import segment as segment_table
 from service.errors import StorageError
@@ -139,9 +139,7 @@ def measured_arrays(rows: MeasuredColumns) -> dict[str, Any]:
 def _level_column(levels: Float32Array) -> Any:
     """Return levels as decimals where these are exact, else as they are, every NaN the same NaN."""
     found = (decimals(levels, places) for places in _PLACES)
-    canonical = np.array(levels, dtype="<f4")
-    canonical[np.isnan(canonical)] = np.nan
-    return next((each for each in found if each is not None), canonical)
+    return next((each for each in found if each is not None), canonical(levels))
 
 
 class MeasurementSegment:
@@ -200,7 +198,9 @@ class MeasurementSegment:
 
     def content(self, position: int) -> RowContent:
         """Return the content of a row."""
-        return row_content(self.plan_id, self.power_dbm()[position], self.flags(position), self.details()[position])
+        one = slice(position, position + 1)
+        arrays = stored_arrays(self.power_dbm()[one], [self.flags(position)], self.details()[one])
+        return row_content(self.plan_id, arrays[0])
 
     def record(self, position: int) -> Measurement:
         """Return the row at a place."""
@@ -372,12 +372,12 @@ _Chunk = TypeVar("_Chunk")
 def opened(connection: Connection, head: SegmentHead, read: Callable[[ColumnBlob], _Chunk]) -> _Chunk:
     """Return what a reader makes of the blob of a segment after it was compared; StorageError ``storage.corrupt``."""
     is_it = segment_table.c.segment_id == head.segment_id
-    content = connection.scalar(select(segment_table.c.content).where(is_it))
+    row = connection.execute(select(segment_table).where(is_it)).first()
     try:
-        if not agrees(head.checksum, partial(checksum_of, segment_table, {**head._asdict(), "content": content})):
+        if row is None or not agrees(segment_table, row):
             message = "its checksum differs from its content"
             raise ValueError(message)  # noqa: TRY301 - told as every other fault of the blob
-        return read(ColumnBlob(content or b"", head.row_count))
+        return read(ColumnBlob(row.content, row.row_count))
     except ValueError as fault:
         raise corrupt(connection, head, str(fault)) from fault
 

@@ -2,18 +2,15 @@
 
 from collections.abc import Callable, Iterator, Sequence
 
-import numpy as np
 from sqlalchemy import Connection
 
 from db.database import Database
-from db.encoding.measurement_runs import ChunkRun
-from db.encoding.segments import DAY_US, SegmentCache, SegmentHead, day_of, read_chunk
-from db.measurements.measurement_pages import FULL, POWERS, Chosen, MeasurementPages
+from db.encoding.segments import DAY_US, MeasurementSegment, SegmentCache, SegmentHead, day_of, read_chunk
+from db.measurements.measurement_pages import Chosen, MeasurementPages, RowChunk
 from db.summaries import bins_within
 from service.core.rows import Summaries
 from service.ports.archive import Intervals, MeasuredFigure, SampledPowers
 from service.records.calibration import Window
-from service.records.levels.attitude import FloatArray
 
 #: days that one read transaction looks at
 _SLICE_US = 128 * DAY_US
@@ -47,10 +44,8 @@ def sampled(
                 columns = slice(len(carriers_of(plan_id)))
                 for buckets in _sealed(connection, database.segments, of_plan, intervals, figure, columns):
                     yield SampledPowers(plan_id, buckets)
-            for run in pages.read_unsealed(part, POWERS if figure == "power_dbm" else FULL):
-                epochs_us = run.chunk.epochs_us[run.positions]
-                values = run.power_dbm() if figure == "power_dbm" else _c_n0_db_hz(run)
-                yield SampledPowers(run.chunk.plan_id, Summaries.of_rows(epochs_us, values))
+            for chunk in pages.read_unsealed(part):
+                yield SampledPowers(chunk.plan_id, _bucket(chunk, figure))
         epoch_us = stop_us
 
 
@@ -68,13 +63,10 @@ def _sealed(
         yield buckets
     scan = cache.for_scan()
     for head in rest:
-        chunk = read_chunk(connection, scan, head)
-        values = chunk.power_dbm() if figure == "power_dbm" else chunk.figure(figure)
-        yield Summaries.of_rows(chunk.epochs_us, values)
+        yield _bucket(read_chunk(connection, scan, head), figure)
 
 
-def _c_n0_db_hz(run: ChunkRun) -> FloatArray:
-    """Return the C/N0 of rows of the table of rows, (n, N); NaN = not stated."""
-    none = np.full(run.power_dbm().shape[1], np.nan)
-    details = [row.details for row in run.records()]
-    return np.array([none if each is None else each.c_n0_db_hz for each in details], dtype=np.float64)
+def _bucket(chunk: RowChunk | MeasurementSegment, figure: MeasuredFigure) -> Summaries:
+    """Return the rows of a piece as buckets of their own."""
+    values = chunk.power_dbm() if figure == "power_dbm" else chunk.figure(figure)
+    return Summaries.of_rows(chunk.epochs_us, values)

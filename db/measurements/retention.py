@@ -30,7 +30,6 @@ from db.schema.tables import (
     attitude,
     head,
     measurement,
-    measurement_detail,
     retention_mark,
     segment,
     torque,
@@ -80,7 +79,7 @@ _ROWS = _Part(
     measurement,
     measurement.c.epoch_us,
     (measurement.c.epoch_us, measurement.c.source_key),
-    _length(measurement.c.powers) + _length(measurement.c.flags) + 64,
+    _length(measurement.c.powers) + _length(measurement.c.flags) + _length(measurement.c.figures) + 64,
     _ONE,
     number=measurement.c.number,
 )
@@ -203,9 +202,6 @@ def _drop_some(
     ).all()
     if not names:
         return 0
-    if part is _ROWS:
-        names_of_details = (measurement_detail.c.epoch_us, measurement_detail.c.source_key)
-        delete_named(connection, key, measurement_detail, names_of_details, names)
     delete_named(connection, key, part.table, part.key, names)
     rows = sum(int(name.stands_for) for name in names)
     _count(connection, key, series, stop_us, rows)

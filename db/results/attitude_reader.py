@@ -13,7 +13,7 @@ from sqlalchemy import Connection, and_, func, select
 
 from db.encoding.measurement_runs import ChunkRun
 from db.encoding.record_codec import decode
-from db.encoding.row_mapping import attitude_of
+from db.encoding.result_rows import attitude_of
 from db.encoding.segments import RowSeries, SegmentCache
 from db.measurements.measurement_pages import EVER, LIGHT, Chosen, MeasurementPages
 from db.measurements.retention import kept_from_us

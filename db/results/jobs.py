@@ -6,7 +6,6 @@ that it leads, in order of priority; the row says whose they are, so that no two
 
 from collections.abc import Iterator
 from dataclasses import asdict
-from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -14,7 +13,7 @@ from sqlalchemy import ColumnElement, Connection, Row, and_, delete, false, func
 from sqlalchemy.exc import IntegrityError
 
 from db.database import Database, Repository
-from db.schema.columns import agrees, checksum_of
+from db.schema.columns import agrees
 from db.schema.tables import calibration as calibration_table
 from db.schema.tables import checkpoint as checkpoint_table
 from db.schema.tables import job as job_table
@@ -220,6 +219,5 @@ def checkpoints(
         if row is None:
             return
         number = row.number
-        values: Any = row._mapping  # noqa: SLF001 - SQLAlchemy's public name
-        if agrees(row.checksum, partial(checksum_of, table, values)):
+        if agrees(table, row):
             yield Checkpoint(row.number, row.epoch_us, row.fingerprint, row.content)

@@ -15,7 +15,7 @@ from db.database import Database, Repository, lock_head, next_id
 from db.encoding.record_codec import decode, encode
 from db.measurements.retention import ATTITUDE_BYTES, PARTS, TORQUE_BYTES, delete_named
 from db.results.jobs import insert_job
-from db.schema.columns import agrees, checksum_of
+from db.schema.columns import agrees
 from db.schema.tables import job as job_table
 from db.schema.tables import replay as replay_table
 from db.schema.tables import replay_checkpoint
@@ -79,10 +79,7 @@ class SqlReplays(Repository):
         is_it = _is_state(self._database.key(spacecraft_id), number_of(version) or 0)
         table = replay_checkpoint
         row = self._database.fetch_one(select(table).where(is_it, table.c.fingerprint == fingerprint))
-        if row is None:
-            return None
-        values: Any = row._mapping  # noqa: SLF001 - SQLAlchemy's public name
-        if not agrees(row.checksum, partial(checksum_of, table, values)):
+        if row is None or not agrees(table, row):
             return None
         return Checkpoint(row.number, row.epoch_us, row.fingerprint, row.content)
 

@@ -7,8 +7,7 @@ import numpy as np
 from sqlalchemy import Connection, func, select
 
 from db.database import Database
-from db.encoding.measurement_runs import unpack_carriers
-from db.encoding.row_mapping import attitude_of, torque_of
+from db.encoding.result_rows import attitude_of, torque_of, unpack_carriers
 from db.encoding.segments import DAY_US, RowSeries, SegmentHead, day_of, heads
 from db.measurements.retention import kept_from_us
 from db.results.replays import check_held

@@ -14,8 +14,14 @@ from sqlalchemy import ColumnElement, Connection, Row, Table, and_, func, select
 
 from db.connection.writer import insert_new
 from db.database import Database, lock_head
-from db.encoding.measurement_runs import pack_carriers, unpack_carriers
-from db.encoding.row_mapping import attitude_of, attitude_values, torque_of, torque_values
+from db.encoding.result_rows import (
+    attitude_of,
+    attitude_values,
+    pack_carriers,
+    torque_of,
+    torque_values,
+    unpack_carriers,
+)
 from db.encoding.segments import RowSeries
 from db.measurements.archive import store_inputs
 from db.results import result_sealing

@@ -15,7 +15,7 @@ from stored_records import ALARM, AUDIT_EVENT, COMMAND
 from db.encoding.segments import DAY_US, SegmentCache
 from db.measurements.ingest import StoreBatch
 from db.measurements.row_insert import prepare
-from db.schema.tables import head, measurement, measurement_detail, sequence_interval, source
+from db.schema.tables import head, measurement, sequence_interval, source
 from service.errors import NotFoundError
 from service.ports.archive import LIVE, Outcome
 from service.records.calibration import Window
@@ -432,7 +432,7 @@ def test_a_jump_of_just_a_thousand_million_numbers_is_a_gap(setting):
     assert missing(setting) == 999_999_999
 
 
-TABLES = (head, source, sequence_interval, measurement, measurement_detail)
+TABLES = (head, source, sequence_interval, measurement)
 
 
 def a_batch(setting, dice):
@@ -513,7 +513,7 @@ def test_a_batch_that_fails_among_others_is_lost_alone(setting):
 
 
 LEVEL = np.float32(-50.12)
-#: alone each of these is stored in a form of its own: steps of a hundredth, of a power of two, float32
+#: hundredths, neighbours that differ in their last bit, and levels far apart
 ROWS = np.array(
     [[-50.12, -50.5, -49.0], [LEVEL, LEVEL, np.nextafter(LEVEL, np.float32(0))], [-50.12, 3e-30, np.nan]],
     dtype=np.float32,

@@ -7,7 +7,7 @@ import pytest
 from sqlalchemy import func, select, update
 
 from db import sealing
-from db.encoding.measurement_runs import pack_carriers
+from db.encoding.result_rows import pack_carriers
 from db.encoding.segments import DAY_US
 from db.measurements import retention
 from db.schema.tables import attitude, segment, torque

@@ -10,7 +10,7 @@ from geometry_flight import HOUR, MINUTE, START_US, FlightPayload
 from set_clock import SetClock
 from waiting import wait_until as wait_for
 
-from db.encoding.measurement_runs import pack_carriers
+from db.encoding.result_rows import pack_carriers
 from db.results import jobs
 from db.storage import SqlStorage
 from service.pipeline.config import AlignmentConfig, CalibrationConfig, ChainConfig
