@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, Protocol
 
 from sqlalchemy import Connection, Row, Table, and_, delete, or_, select, true, tuple_
 
-from db.database import Database, lock_head
+from db.database import Database, lock_head, position_of
 from db.encoding.column_blob import pack_columns
 from db.encoding.segments import DAY_US, RowSeries, SegmentHead, heads
 from db.schema.columns import is_sound
@@ -188,8 +188,3 @@ def sound_and_damaged(table: Table, rows: Sequence[Row[Any]]) -> tuple[list[Row[
     """Return the rows of a table that are sound, and the places of the others."""
     sound = [row for row in rows if is_sound(table, row)]
     return sound, sorted(set(map(position_of, rows)) - set(map(position_of, sound)))
-
-
-def position_of(row: Any) -> Position:
-    """Return the place of a row in the order of its series."""
-    return row.epoch_us, row.number

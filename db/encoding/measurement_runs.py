@@ -6,11 +6,10 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from service.ports.archive import Cursor
 from service.records.levels.attitude import IntArray
 from service.records.levels.measurement import Float32Array, Measurement, MeasurementBlock
 
-#: place of a row in the order of epochs: its epoch and its journal number
-Cursor = tuple[int, int]
 #: rows of a run from which on a run is told as it lies, mean of a page
 _LONG_RUN = 64
 

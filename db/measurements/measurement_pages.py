@@ -11,11 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from sqlalchemy import ColumnElement, Connection, Row, Select, and_, func, select
 
-from db.database import beyond, within
+from db.database import beyond, newest_rows, start_of_last, within
 from db.encoding.measurement_rows import details_of, measurement_of, powers_of
-from db.encoding.measurement_runs import ChunkRun, Cursor, OrderedRows, end_us
+from db.encoding.measurement_runs import ChunkRun, OrderedRows, end_us
 from db.encoding.segments import (
-    DAY_US,
     MeasurementSegment,
     SegmentCache,
     SegmentHead,
@@ -25,9 +24,9 @@ from db.encoding.segments import (
     of_measurements,
     read_chunk,
 )
-from db.newest_rows import newest_rows, start_of_last
 from db.schema.columns import sound_rows
 from db.schema.tables import measurement, segment, source
+from service.ports.archive import Cursor, ListPart
 from service.records.calibration import Window
 from service.records.levels.attitude import BoolArray, IntArray
 from service.records.levels.measurement import DETAIL_NAMES, Float32Array, Measurement, MeasurementBlock
@@ -112,21 +111,18 @@ class MeasurementPages:
             return [ChunkRun(chunk, positions[:limit]) for chunk, positions in parts]
         return OrderedRows(parts, limit).runs()
 
-    def records(
-        self, chosen: Chosen, limit: int, after: Cursor | None, *, newest_first: bool = False
-    ) -> list[Measurement]:
-        """Return the next rows behind a cursor, or before it where the newest come first."""
+    def records(self, part: ListPart, source: str | None) -> list[Measurement]:
+        """Return the rows of a part of the list of a source, or of all."""
+        chosen = Chosen(part.window, source)
 
-        def read(window: Window, most: int, behind: Cursor | None) -> list[Measurement]:
-            runs = self.read(chosen._replace(window=window), most, behind)
+        def read(some: ListPart) -> list[Measurement]:
+            runs = self.read(chosen._replace(window=some.window), some.limit, some.after)
             return [row for run in runs for row in run.records()]
 
         def start_of(window: Window, count: int) -> int:
             return self.start_of_newest(chosen._replace(window=window), count)
 
-        if newest_first:
-            return newest_rows(read, start_of, chosen.window, limit, after)
-        return read(chosen.window, limit, after)
+        return newest_rows(read, start_of, part) if part.newest_first else read(part)
 
     def start_of_newest(self, chosen: Chosen, count: int) -> int:
         """Return an epoch from which on so many chosen rows stand; the start of the window where there are fewer."""
@@ -188,17 +184,6 @@ class MeasurementPages:
         """Return the heads of segments that may hold chosen rows."""
         window = chosen.window
         return list(heads(self._connection, self._of_segments(chosen), window.start_us, window.stop_us))
-
-    def next_us(self, epoch_us: int) -> int | None:
-        """Return an epoch up to which no row stands from the given one on; None where none follows."""
-        rows = select(func.min(measurement.c.epoch_us)).where(
-            measurement.c.spacecraft_key == self.key, measurement.c.epoch_us >= epoch_us
-        )
-        days = select(func.min(segment.c.first_epoch_us)).where(
-            *of_measurements(self.key), segment.c.first_epoch_us >= day_of(epoch_us) * DAY_US
-        )
-        found = [self._connection.scalar(query) for query in (rows, days)]
-        return min((max(each, epoch_us) for each in found if each is not None), default=None)
 
     def of_numbers(self, after: int, upto: int, *, is_compared: bool) -> list[Measurement]:
         """Return the rows with a journal number in (after, upto], in no order."""

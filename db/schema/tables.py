@@ -269,10 +269,12 @@ complete_mark = Table(
     Column("number", BigInteger, nullable=False),
 )
 
+#: states from which a chain goes on: of the live version several, of a replay that may be interrupted one
 checkpoint = Table(
     "checkpoint",
     metadata,
     spacecraft_key(is_referencing=False),
+    *keys(Text, "version"),
     *keys(BigInteger, "number"),
     *needed(BigInteger, "epoch_us"),
     *needed(Text, "fingerprint"),
@@ -306,18 +308,6 @@ replay = Table(
     # what it wrote, whatever retention has taken since
     *optional(BigInteger, "attitude_rows", "torque_rows"),
     Column("is_deleted", Boolean),
-)
-
-#: state from which a replay that was interrupted goes on
-replay_checkpoint = Table(
-    "replay_checkpoint",
-    metadata,
-    spacecraft_key(is_referencing=False),
-    *keys(Integer, "replay_id"),
-    *needed(BigInteger, "number", "epoch_us"),
-    *needed(Text, "fingerprint"),
-    *needed(LargeBinary, "content"),
-    checksum_column(),
 )
 
 #: what front ends report of themselves, and what operators want of them

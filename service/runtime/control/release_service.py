@@ -18,8 +18,8 @@ from service.pipeline.control.release.command_states import CommandTransition
 from service.pipeline.control.release.control_verdict import ControlView, control_view
 from service.pipeline.control.release.events import OrderKind, Report, digest_of, state_of
 from service.pipeline.control.release.interlock import Instant
+from service.ports.archive import ListPart
 from service.ports.storage import Catalogue
-from service.records.calibration import Window
 from service.records.catalogue import ControlMode, Release, Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.operations.release import Command, CommandRequest, ProductForm, UplinkProduct
@@ -130,17 +130,9 @@ class ReleaseService(ReleaseLoop):
             context.release.handle(events.Tick(at))
             return context.release.command(counter)
 
-    def commands(
-        self,
-        spacecraft_id: str,
-        window: Window,
-        limit: int,
-        after: tuple[int, int] | None = None,
-        *,
-        newest_first: bool = False,
-    ) -> list[Command]:
+    def commands(self, spacecraft_id: str, part: ListPart) -> list[Command]:
         """Return commands prepared in a window in order of (prepared, counter) beyond a cursor."""
-        return self.storage.releases.commands(spacecraft_id, window, limit, after, newest_first=newest_first)
+        return self.storage.releases.commands(spacecraft_id, part)
 
     def uplink(self, spacecraft_id: str, counter: int) -> UplinkProduct:
         """Return the product of a released command; NotFoundError ``uplink.unknown``."""

@@ -9,6 +9,7 @@ from service.pipeline.calibration.geometry_rows import CalibrationError, Calibra
 from service.pipeline.calibration.minute_rows import mean_edges_us, minute_rows
 from service.pipeline.calibration.paper_calibration import calibrate_paper
 from service.pipeline.config import CalibrationConfig
+from service.ports.archive import ListPart
 from service.ports.storage import Clock, Storage
 from service.records.calibration import (
     Calibration,
@@ -158,7 +159,7 @@ class CalibrationWork:
 
     def _corrections(self, spacecraft_id: str, request: CalibrationRequest) -> tuple[Correction, ...]:
         """Return the announced corrections that overlap the turns."""
-        entries = self._storage.archive.inputs(spacecraft_id, "correction", request.turns, _MAX_INPUTS, None)
+        entries = self._storage.archive.inputs(spacecraft_id, "correction", ListPart(request.turns, _MAX_INPUTS))
         return tuple(entry.content for entry in entries if isinstance(entry.content, Correction))
 
     def _telemetry(self, spacecraft_id: str, request: CalibrationRequest) -> tuple[TelemetryRecord, ...]:
@@ -180,10 +181,12 @@ class CalibrationWork:
         unloadings.
         """
         archive = self._storage.archive
-        read = {each.number: each for each in archive.inputs(spacecraft_id, kind, request.turns, _MAX_RECORDS, None)}
+        read = {
+            each.number: each for each in archive.inputs(spacecraft_id, kind, ListPart(request.turns, _MAX_RECORDS))
+        }
         next_us: dict[str, int] = {}
         after = None
-        while page := archive.inputs(spacecraft_id, kind, request.quiet, _MAX_RECORDS, after):
+        while page := archive.inputs(spacecraft_id, kind, ListPart(request.quiet, _MAX_RECORDS, after)):
             for entry in page:
                 one = entry.content
                 if isinstance(one, TelemetryRecord | PolarizationRecord):
@@ -198,7 +201,7 @@ class CalibrationWork:
         """Return the declared operations that overlap a window, each once, by number."""
         found: dict[int, Operation] = {}
         for window in (request.quiet, request.turns):
-            for entry in self._storage.archive.inputs(spacecraft_id, "operation", window, _MAX_INPUTS, None):
+            for entry in self._storage.archive.inputs(spacecraft_id, "operation", ListPart(window, _MAX_INPUTS)):
                 if isinstance(entry.content, Operation):
                     found[entry.content.id] = entry.content
         return tuple(found[number] for number in sorted(found))

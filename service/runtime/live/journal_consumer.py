@@ -10,7 +10,7 @@ from service.pipeline.control.command.control_design import withheld_command
 from service.pipeline.control.release.events import StoredRow
 from service.pipeline.inputs.knowledge import KEPT_US
 from service.pipeline.inputs.polarization import KEPT_US as POLARIZATION_US
-from service.ports.archive import Archive, Outcome, Results
+from service.ports.archive import Archive, ListPart, Outcome, Results
 from service.ports.storage import Catalogue
 from service.records.calibration import Alignment, Calibration, Window
 from service.records.catalogue import CarrierPlan, Ephemeris
@@ -164,7 +164,7 @@ def _inputs(archive: Archive, spacecraft_id: str, kind: str, window: Window) -> 
     """Yield the slow inputs of a kind that overlap a window."""
     after: tuple[int, int] | None = None
     while True:
-        page = archive.inputs(spacecraft_id, kind, window, _INPUTS_AT_ONCE, after, is_compared=False)
+        page = archive.inputs(spacecraft_id, kind, ListPart(window, _INPUTS_AT_ONCE, after), is_compared=False)
         yield from page
         if len(page) < _INPUTS_AT_ONCE:
             return
