@@ -25,7 +25,7 @@ from service.records.epoch import format_epoch
 _LOG = logging.getLogger(__name__)
 #: rows of a segment, by series: a day at a row every eight seconds, 1.4 MB of powers of 32 carriers in memory
 SEGMENT_ROWS = {"measurement": 10_800, "attitude": 4096, "torque": 4096}
-#: rows within those of a segment that stay where they are; SQLite before 3.32 binds 999 values at most
+#: rows within those of a segment that stay where they are
 _MOST_STAYING = 250
 #: epochs that a line of the log names at most
 _NAMED = 5

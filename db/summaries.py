@@ -28,8 +28,6 @@ _LOG = logging.getLogger(__name__)
 HOUR_S, MINUTE_S = 3600, 60
 #: rows closer than this, by their median, get minutes too
 DENSE_US = 20 * US_PER_S
-#: summaries that are asked for at once; SQLite before 3.32 binds 999 values at most
-READ_AT_ONCE = 500
 #: blobs by quantity and length of a bin, s
 Bins = Mapping[tuple[str, int], bytes]
 Conditions = Sequence[ColumnElement[bool]]
@@ -118,14 +116,13 @@ def bins_from(blob: bytes, bin_s: int) -> Summaries:
 def stored_blobs(connection: Connection, ids: Sequence[int], quantity: str, bin_s: int) -> dict[int, bytes]:
     """Return the blobs of segments by id; what is missing or damaged is not among them: its rows are still there."""
     found: dict[int, bytes] = {}
-    for start in range(0, len(ids), READ_AT_ONCE):
-        is_one = summary.c.segment_id.in_(ids[start : start + READ_AT_ONCE])
-        query = select(summary).where(is_one, summary.c.quantity == quantity, summary.c.bin_s == bin_s)
-        for row in connection.execute(query):
-            if agrees(summary, row):
-                found[row.segment_id] = row.content
-            else:
-                _warn(row.segment_id, "its checksum differs from its content")
+    is_one = summary.c.segment_id.in_(ids)
+    query = select(summary).where(is_one, summary.c.quantity == quantity, summary.c.bin_s == bin_s)
+    for row in connection.execute(query):
+        if agrees(summary, row):
+            found[row.segment_id] = row.content
+        else:
+            _warn(row.segment_id, "its checksum differs from its content")
     return found
 
 

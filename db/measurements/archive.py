@@ -19,7 +19,7 @@ from db.encoding.record_codec import decode, decode_all, decode_input, encode, k
 from db.encoding.segments import DAY_US, SegmentCache
 from db.measurements import power_samples, retention, sealing
 from db.measurements.ingest import StoreBatch
-from db.measurements.journal_heads import HEAD_COLUMNS, head_states, journal_heads
+from db.measurements.journal_heads import HEAD_COLUMNS, SOURCE_COLUMNS, head_states, journal_heads, source_state
 from db.measurements.measurement_pages import EVER, UNCHECKED, Chosen, MeasurementPages
 from db.measurements.row_insert import prepare
 from db.schema.columns import sound_rows
@@ -219,8 +219,8 @@ class SqlArchive:
     def sources(self, spacecraft_id: str) -> tuple[SourceState, ...]:
         """Return all measurement sources."""
         key = self._database.key(spacecraft_id)
-        query = select(source).where(source.c.spacecraft_key == key).order_by(source.c.source_key)
-        return tuple(_source_state(row) for row in self._database.fetch(query))
+        query = select(*SOURCE_COLUMNS).where(source.c.spacecraft_key == key).order_by(source.c.source_key)
+        return tuple(map(source_state, self._database.fetch(query)))
 
     def select_source(self, spacecraft_id: str, source: str) -> SourceState:
         """Make a source the prime one, journaled; rows stored from then on feed the estimator."""
@@ -480,12 +480,7 @@ def _select_source(connection: Connection, key: int, name: str) -> SourceState:
     connection.execute(update(source).where(source.c.spacecraft_key == key).values(is_prime=(source.c.name == name)))
     count = 1 + count_entries(connection, key, "source")
     add_entries(connection, key, [(SourceSelection(name, count), None)])
-    return _source_state(connection.execute(select(source).where(*is_it)).one())
-
-
-def _source_state(row: Row[Any]) -> SourceState:
-    role = "prime" if row.is_prime else "backup"
-    return SourceState(row.name, role, row.newest_epoch_us, row.row_count, row.rows_missing, row.station, row.key_id)
+    return source_state(connection.execute(select(*SOURCE_COLUMNS).where(*is_it)).one())
 
 
 def _with_keys(connection: Connection, pages: MeasurementPages, rows: Sequence[Measurement]) -> list[Measurement]:

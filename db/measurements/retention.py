@@ -39,7 +39,7 @@ from service.records.storage import RetiredRows
 
 #: rows that one transaction drops
 ROWS_AT_ONCE = 500
-#: alarms or notes that one transaction drops; SQLite before 3.32 binds 999 values at most
+#: alarms or notes that one transaction drops
 LOGS_AT_ONCE = 500
 #: segments that one transaction drops
 SEGMENTS_AT_ONCE = 8
@@ -212,13 +212,8 @@ def delete_named(
     connection: Connection, key: int, table: Table, columns: tuple[ColumnElement[Any], ...], names: Any
 ) -> None:
     """Delete the rows of a spacecraft whose columns hold one of some names; of longer names the begin counts."""
-    width = len(columns)
-    # SQLite before 3.32 binds 999 values at most
-    chunk = 900 // width
-    for start in range(0, len(names), chunk):
-        wanted = [tuple(name)[:width] for name in names[start : start + chunk]]
-        is_one = tuple_(*columns).in_(wanted)
-        connection.execute(delete(table).where(table.c.spacecraft_key == key, is_one))
+    wanted = [tuple(name)[: len(columns)] for name in names]
+    connection.execute(delete(table).where(table.c.spacecraft_key == key, tuple_(*columns).in_(wanted)))
 
 
 def _count(connection: Connection, key: int, series: str, stop_us: int, rows: int) -> None:

@@ -90,7 +90,7 @@ def insert_rows(connection: Connection, rows: Sequence[tuple[Any, ...]]) -> None
         run_bare(connection, _INSERT, (its[0][0], blob, *sizes, numbers))
 
 
-#: epochs in one query; SQLite before 3.32 binds 999 values at most
+#: epochs in one query
 LOOKUP_CHUNK = 500
 
 

@@ -126,7 +126,7 @@ def _no_link(link_id: str) -> NotFoundError:
     return NotFoundError("link.unknown", f"No link {link_id!r} has reported.")
 
 
-#: values in one query; SQLite before 3.32 binds 999 at most
+#: values in one query
 _CHUNK = 500
 #: the fastest level: the others gain a hundredth of the size
 _PACK_LEVEL = 1

@@ -13,7 +13,7 @@ from db.measurements.retention import kept_from_us
 from db.results.replays import check_held
 from db.results.stored_rows import read_results, unsealed_rows
 from db.schema.tables import attitude, summary
-from db.summaries import READ_AT_ONCE, bins_within, next_row_us, seasons
+from db.summaries import bins_within, next_row_us, seasons
 from service.core.rows import Summaries
 from service.ports.archive import LIVE, Intervals, SampledCarriers
 from service.records.calibration import Window
@@ -148,10 +148,9 @@ def _rows_of(
 def _plans_of(connection: Connection, ids: Sequence[int]) -> dict[int, set[int]]:
     """Return the plans that the carriers of segments have bins for, by id; segments without any bins are left out."""
     plans: dict[int, set[int]] = {}
-    for start in range(0, len(ids), READ_AT_ONCE):
-        is_one = summary.c.segment_id.in_(ids[start : start + READ_AT_ONCE])
-        for segment_id, quantity in connection.execute(select(summary.c.segment_id, summary.c.quantity).where(is_one)):
-            held = plans.setdefault(segment_id, set())
-            if quantity.startswith(_CARRIERS):
-                held.add(int(quantity.removeprefix(_CARRIERS)))
+    query = select(summary.c.segment_id, summary.c.quantity).where(summary.c.segment_id.in_(ids))
+    for segment_id, quantity in connection.execute(query):
+        held = plans.setdefault(segment_id, set())
+        if quantity.startswith(_CARRIERS):
+            held.add(int(quantity.removeprefix(_CARRIERS)))
     return plans

@@ -77,7 +77,7 @@ def read_results(connection: Connection, head: SegmentHead) -> ResultSegment:
     return opened(connection, head, partial(ResultSegment, head))
 
 
-#: positions in one query; SQLite before 3.32 binds 999 values at most
+#: positions in one query
 _LOOKUP = 250
 #: rows in memory at once as records
 _PAGE_ROWS = 5000
