@@ -24,7 +24,7 @@ from db.encoding.segments import DAY_US
 from db.storage import SqlStorage
 from service.composition.bootstrap import build_app, build_maintenance
 from service.composition.settings import Settings
-from service.ports.archive import LIVE, Outcome
+from service.ports.archive import LIVE, ListPart, Outcome
 from service.ports.storage import ClockReading
 from service.records.calibration import (
     Alignment,
@@ -176,7 +176,7 @@ def append(storage: SqlStorage, plan_id: int, first: int, count: int) -> list[Me
     made = replace(made, epochs_us=epochs_us, received_at_us=int(epochs_us[-1]) + 700_000)
     storage.archive.append_measurements(made).result()
     span = Window(int(epochs_us[0]), int(epochs_us[-1]) + 1)
-    return storage.archive.measurements("bench", span, count, None)
+    return storage.archive.measurements("bench", ListPart(span, count))
 
 
 def robust_of(row: Measurement, random: np.random.Generator) -> Outcome:

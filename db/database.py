@@ -1,29 +1,47 @@
 """The database as the repositories see it: read transactions, queued writes, keys of spacecraft, journal numbers.
 
+Sealed days lie in order of epochs, and so does what reads them. A page from the end asks where it begins, which costs
+no row, and reads from there on; so it costs about what a page from the start does.
+
 The journal of a spacecraft is gap-free and in the order of commits, because a number is taken by updating the row
 ``head`` of the spacecraft in the transaction that uses it: the row stays locked until that transaction ends.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
+from dataclasses import asdict
 from typing import Any, NamedTuple, TypeVar
 
-from sqlalchemy import ColumnElement, Connection, Row, Select, Table, and_, func, or_, select, true, update
+import numpy as np
+from sqlalchemy import ColumnElement, Connection, Row, Select, Table, and_, bindparam, func, or_, select, true, update
 
-from db.audit_chain import accompanied
 from db.connection.engines import open_engines, sqlite_path, translated_faults
 from db.connection.lease import FileLeases, SqlLeases
-from db.connection.writer import Writer
+from db.connection.writer import Writer, insert_new
 from db.encoding.record_codec import encode, kind_of
 from db.encoding.segments import SegmentCache
-from db.schema.tables import head, journal, spacecraft
+from db.schema.tables import audit_entry, audit_head, head, journal, spacecraft
 from service.errors import NotFoundError
+from service.ports.archive import Cursor, ListPart
 from service.records.calibration import Window
 from service.records.inputs import SlowInput
-from service.records.operations.access import CURRENT_NOTE
+from service.records.levels.attitude import IntArray
+from service.records.operations.access import (
+    CURRENT_NOTE,
+    GENESIS,
+    AuditEntry,
+    AuditEvent,
+    AuditHead,
+    naming_result,
+    next_entry,
+)
 
 Result = TypeVar("Result")
+PagedRow = TypeVar("PagedRow")
+#: above every limit
+ALL_ROWS = 1 << 62
+_LOCKED_HEAD = select(head).where(head.c.spacecraft_key == bindparam("key")).with_for_update()
 
 
 class EpochSpan(NamedTuple):
@@ -152,7 +170,7 @@ class Repository:
 
 def lock_head(connection: Connection, key: int) -> Row[Any]:
     """Return the head of a spacecraft and keep every other writer of it away until the transaction ends."""
-    row = connection.execute(select(head).where(head.c.spacecraft_key == key).with_for_update()).one_or_none()
+    row = connection.execute(_LOCKED_HEAD, {"key": key}).one_or_none()
     if row is None:
         raise NotFoundError("spacecraft.unknown", "The spacecraft was deleted.")
     return row
@@ -165,11 +183,7 @@ def next_id(connection: Connection, table: Table, column: str, key: int) -> int:
 
 
 def beyond(
-    position: ColumnElement[int],
-    number: ColumnElement[int],
-    after: tuple[int, int] | None,
-    *,
-    newest_first: bool = False,
+    position: ColumnElement[int], number: ColumnElement[int], after: Cursor | None, *, newest_first: bool = False
 ) -> ColumnElement[bool]:
     """Return the condition that (place, number) lies behind a cursor, or before it where the newest come first."""
     if after is None:
@@ -181,18 +195,12 @@ def beyond(
 
 
 def page_of(
-    query: Select[Any],
-    position: ColumnElement[int],
-    number: ColumnElement[int],
-    limit: int,
-    after: tuple[int, int] | None,
-    *,
-    newest_first: bool = False,
+    query: Select[Any], position: ColumnElement[int], number: ColumnElement[int], part: ListPart
 ) -> Select[Any]:
-    """Return the query for a page of rows beyond a cursor, in order of (place, number) or in the reverse order."""
-    order = (position.desc(), number.desc()) if newest_first else (position, number)
-    is_next = beyond(position, number, after, newest_first=newest_first)
-    return query.where(is_next).order_by(*order).limit(limit)
+    """Return the query for a part of a list by (place, number)."""
+    order = (position.desc(), number.desc()) if part.newest_first else (position, number)
+    is_next = beyond(position, number, part.after, newest_first=part.newest_first)
+    return query.where(within(position, part.window), is_next).order_by(*order).limit(part.limit)
 
 
 def within(epoch_us: ColumnElement[int], window: Window) -> ColumnElement[bool]:
@@ -220,21 +228,104 @@ def add_entries(connection: Connection, key: int, entries: Sequence[tuple[SlowIn
     newest_number, newest_epoch_us = connection.execute(moved).one()
     here = EpochSpan(newest_epoch_us or 0, newest_epoch_us or 0)
     rows = [
-        _journal_row(key, newest_number - len(entries) + position, record, span or here)
-        for position, (record, span) in enumerate(entries, start=1)
+        {
+            "spacecraft_key": key,
+            "number": number,
+            "kind": kind_of(record),
+            "key": record.key,
+            "start_us": (span or here).start_us,
+            "stop_us": (span or here).stop_us,
+            "document": encode(record),
+        }
+        for number, (record, span) in enumerate(entries, start=newest_number - len(entries) + 1)
     ]
     if rows:
         connection.execute(journal.insert(), rows)
     return int(newest_number)
 
 
-def _journal_row(key: int, number: int, record: SlowInput, span: EpochSpan) -> dict[str, Any]:
-    return {
-        "spacecraft_key": key,
-        "number": number,
-        "kind": kind_of(record),
-        "key": record.key,
-        "start_us": span.start_us,
-        "stop_us": span.stop_us,
-        "document": encode(record),
-    }
+def newest_rows(
+    read: Callable[[ListPart], Sequence[PagedRow]], start_of: Callable[[Window, int], int], part: ListPart
+) -> list[PagedRow]:
+    """Return the last rows of a window below a cursor, that with the greatest (epoch, number) first.
+
+    Parameters
+    ----------
+    read : callable
+        Reader in order of (epoch, number).
+    start_of : callable
+        Gives an epoch from which on a window has so many rows at least; its start where it has fewer.
+    part : ListPart
+        Rows that are asked for.
+    """
+    before, window, count = part.after, part.window, part.limit
+    if before is not None:
+        window = Window(window.start_us, min(window.stop_us, before[0] + 1))
+    while True:
+        start_us = start_of(window, count)
+        # a list: a page is cut from its end
+        rows = [
+            row
+            for row in read(ListPart(Window(start_us, window.stop_us), ALL_ROWS))
+            if before is None or position_of(row) < before
+        ]
+        if len(rows) >= part.limit or start_us <= window.start_us:
+            return rows[::-1][: part.limit]
+        # rows at the cursor's epoch were counted, which the page before had
+        count *= 2
+
+
+def position_of(row: Any) -> Cursor:
+    """Return the place of a row in the order of its series."""
+    return row.epoch_us, row.number
+
+
+def start_of_last(found: Iterable[IntArray], count: int, default_us: int) -> int:
+    """Return the epoch from which on ``count`` of some epochs stand, ``default_us`` where there are fewer.
+
+    Parameters
+    ----------
+    found : iterable of (T,) arrays
+        Epochs, the latest segment first; read until they are enough.
+    count : int
+        How many.
+    default_us : int
+        Least answer.
+    """
+    held = np.empty(0, dtype=np.int64)
+    for epochs_us in found:
+        held = np.concatenate([held, epochs_us[-count:]])
+        if len(held) >= count:
+            return max(default_us, int(np.partition(held, -count)[-count]))
+    return default_us
+
+
+def append_entry(connection: Connection, event: AuditEvent) -> AuditEntry:
+    """Add a deed to the chain in the transaction of a connection."""
+    entry = next_entry(lock_audit_head(connection), event)
+    values = {"number": entry.number, **asdict(event), "previous_hash": entry.previous_hash, "hash": entry.hash}
+    connection.execute(audit_entry.insert().values(values))
+    connection.execute(update(audit_head).values(number=entry.number, hash=entry.hash))
+    return entry
+
+
+def accompanied(
+    work: Callable[[Connection], Result], event: AuditEvent
+) -> Callable[[Connection], tuple[Result, AuditEntry]]:
+    """Return a write that leaves its deed in the audit log: both are committed, or neither."""
+
+    def write(connection: Connection) -> tuple[Result, AuditEntry]:
+        result = work(connection)
+        return result, append_entry(connection, naming_result(event, result))
+
+    return write
+
+
+def lock_audit_head(connection: Connection) -> AuditHead:
+    """Return the head and keep every other writer of entries away until the transaction ends."""
+    query = select(audit_head).with_for_update()
+    row = connection.execute(query).first()
+    if row is None:
+        insert_new(connection, audit_head, [{"head_key": 1, "number": 0, "hash": GENESIS}])
+        row = connection.execute(query).one()
+    return AuditHead(row.number, row.hash)

@@ -7,13 +7,12 @@ the same, so that a replay stays equal; what differs is for the interlock, the d
 
 import json
 from collections.abc import Iterator, Mapping
-from functools import partial
 from hashlib import sha256
 from typing import Any
 
 from sqlalchemy import Connection, Row, Table, select
 
-from db.schema.columns import agrees, checksum_of
+from db.schema.columns import agrees
 from db.schema.tables import alignment, calibration, carrier_plan, ephemeris, journal, spacecraft
 from service.records.calibration import CalibrationState
 
@@ -66,7 +65,7 @@ def _damaged(connection: Connection, owner: Row[Any], *, in_force: bool) -> Iter
     named: dict[Table, dict[Any, str]] = {table: {} for table in COVERED}
     is_entry = (journal.c.spacecraft_key == owner.spacecraft_key, journal.c.kind.in_(_NAMED_BY))
     for entry in connection.execute(select(journal).where(*is_entry).order_by(journal.c.number)):
-        if not agrees(entry.checksum, partial(checksum_of, journal, entry._asdict())):
+        if not agrees(journal, entry):
             yield f"journal entry {entry.number}"
             continue
         table, content = _NAMED_BY[entry.kind], json.loads(entry.document)

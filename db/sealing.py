@@ -11,12 +11,13 @@ from functools import partial
 from itertools import pairwise
 from typing import Any, NamedTuple, Protocol
 
-from sqlalchemy import Connection, and_, delete, or_, select, true, tuple_
+from sqlalchemy import Connection, Row, Table, and_, delete, or_, select, true, tuple_
 
-from db.database import Database, lock_head
+from db.database import Database, lock_head, position_of
 from db.encoding.column_blob import pack_columns
 from db.encoding.segments import DAY_US, RowSeries, SegmentHead, heads
-from db.schema.tables import measurement, measurement_detail, segment, summary
+from db.schema.columns import is_sound
+from db.schema.tables import segment, summary
 from db.summaries import Bins
 from service.errors import StorageError
 from service.records.epoch import format_epoch
@@ -24,7 +25,7 @@ from service.records.epoch import format_epoch
 _LOG = logging.getLogger(__name__)
 #: rows of a segment, by series: a day at a row every eight seconds, 1.4 MB of powers of 32 carriers in memory
 SEGMENT_ROWS = {"measurement": 10_800, "attitude": 4096, "torque": 4096}
-#: rows within those of a segment that stay where they are; SQLite before 3.32 binds 999 values at most
+#: rows within those of a segment that stay where they are
 _MOST_STAYING = 250
 #: epochs that a line of the log names at most
 _NAMED = 5
@@ -172,8 +173,6 @@ def carry_out(connection: Connection, change: Change) -> bool:
         is_replaced = segment.c.segment_id == change.replaced_id
         if connection.execute(delete(segment).where(is_replaced)).rowcount != 1:
             return False
-    if of.table is measurement:
-        _delete_details(connection, of, (first_us, last_us), [epoch_us for epoch_us, _ in staying])
     is_sealed = tuple_(epoch_us, number).not_in(staying) if staying else true()
     connection.execute(delete(of.table).where(is_in_range, is_sealed))
     for values, bins in change.written:
@@ -185,16 +184,7 @@ def carry_out(connection: Connection, change: Change) -> bool:
     return True
 
 
-def _delete_details(connection: Connection, of: RowSeries, span_us: Position, staying_us: Sequence[int]) -> None:
-    """Delete the details of the measurements of a span, both ends included, but of those that stay."""
-    detail = measurement_detail.c
-    is_its = (detail.spacecraft_key == of.key, detail.source_key == of.source_key, detail.epoch_us.between(*span_us))
-    # rows of the source under another plan may lie among them
-    moved = select(measurement.c.epoch_us).where(*of.of_rows(), measurement.c.epoch_us.between(*span_us))
-    stays = detail.epoch_us.not_in(staying_us) if staying_us else true()
-    connection.execute(delete(measurement_detail).where(*is_its, detail.epoch_us.in_(moved), stays))
-
-
-def position_of(row: Any) -> Position:
-    """Return the place of a row in the order of its series."""
-    return row.epoch_us, row.number
+def sound_and_damaged(table: Table, rows: Sequence[Row[Any]]) -> tuple[list[Row[Any]], list[Position]]:
+    """Return the rows of a table that are sound, and the places of the others."""
+    sound = [row for row in rows if is_sound(table, row)]
+    return sound, sorted(set(map(position_of, rows)) - set(map(position_of, sound)))

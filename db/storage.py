@@ -13,12 +13,11 @@ from db.operations.releases import SqlReleases
 from db.results.results import SqlResults
 from db.schema.layout import LAYOUT, create_tables, layout_of, refusal
 from db.schema.tables import head
-from service.ports.archive import Archive, Results
-from service.ports.storage import Alarms, Audit, Catalogue, Keys, Leases, Links, Notes, Releases, Traces
+from service.ports.storage import Storage
 from service.records.storage import StorageState
 
 
-class SqlStorage:
+class SqlStorage(Storage):
     """One SQLite file or PostgreSQL database.
 
     Parameters
@@ -33,18 +32,6 @@ class SqlStorage:
     ValueError
         The URL names a database that cannot keep the promise of the archive.
     """
-
-    catalogue: Catalogue
-    archive: Archive
-    results: Results
-    links: Links
-    alarms: Alarms
-    notes: Notes
-    releases: Releases
-    traces: Traces
-    keys: Keys
-    audit: Audit
-    leases: Leases
 
     def __init__(self, url: str, limit_s: float = 10.0) -> None:
         self._database = Database(url, limit_s)

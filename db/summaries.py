@@ -6,31 +6,33 @@ quantity. A segment is read as its longest bins that lie within one interval eac
 """
 
 import logging
-from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from sqlalchemy import Connection, select
+from sqlalchemy import ColumnElement, Connection, func, select
 
+from db.database import Database
 from db.encoding.column_blob import ColumnBlob, arrow, pack_columns
-from db.encoding.segments import SegmentHead
-from db.schema.columns import agrees, checksum_of
+from db.encoding.segments import DAY_US, SegmentHead, day_of, heads
+from db.schema.columns import agrees
 from db.schema.tables import summary
 from service.core.arrays import IntArray
 from service.core.rows import NEVER_US, Summaries, joined
 from service.ports.archive import Intervals
+from service.records.calibration import Window
 from service.records.epoch import US_PER_S
 
 _LOG = logging.getLogger(__name__)
 HOUR_S, MINUTE_S = 3600, 60
 #: rows closer than this, by their median, get minutes too
 DENSE_US = 20 * US_PER_S
-#: summaries that are asked for at once; SQLite before 3.32 binds 999 values at most
-READ_AT_ONCE = 500
 #: blobs by quantity and length of a bin, s
 Bins = Mapping[tuple[str, int], bytes]
+Conditions = Sequence[ColumnElement[bool]]
+#: days that one read transaction looks at
+_SEASON_US = 128 * DAY_US
 
 
 def bins_of(quantity: str, epochs_us: IntArray, values: NDArray[np.floating]) -> dict[tuple[str, int], bytes]:
@@ -114,14 +116,13 @@ def bins_from(blob: bytes, bin_s: int) -> Summaries:
 def stored_blobs(connection: Connection, ids: Sequence[int], quantity: str, bin_s: int) -> dict[int, bytes]:
     """Return the blobs of segments by id; what is missing or damaged is not among them: its rows are still there."""
     found: dict[int, bytes] = {}
-    for start in range(0, len(ids), READ_AT_ONCE):
-        is_one = summary.c.segment_id.in_(ids[start : start + READ_AT_ONCE])
-        query = select(summary).where(is_one, summary.c.quantity == quantity, summary.c.bin_s == bin_s)
-        for row in connection.execute(query):
-            if agrees(row.checksum or b"", partial(checksum_of, summary, row._asdict())):
-                found[row.segment_id] = row.content
-            else:
-                _warn(row.segment_id, "its checksum differs from its content")
+    is_one = summary.c.segment_id.in_(ids)
+    query = select(summary).where(is_one, summary.c.quantity == quantity, summary.c.bin_s == bin_s)
+    for row in connection.execute(query):
+        if agrees(summary, row):
+            found[row.segment_id] = row.content
+        else:
+            _warn(row.segment_id, "its checksum differs from its content")
     return found
 
 
@@ -145,6 +146,43 @@ def bins_within(
                 parts.append(bins.columns(columns))
         rest = [head for head in rest if head.segment_id not in read]
     return joined(parts) if parts else None, rest
+
+
+def seasons(
+    database: Database, window: Window, next_us: Callable[[Connection, int], int | None]
+) -> Iterator[tuple[Connection, Window]]:
+    """Yield parts of a window that hold rows, whole days but for its ends, each with a read transaction.
+
+    A row is sealed or not within one transaction, and never leaves its day: each is counted once. ``next_us`` gives an
+    epoch up to which no row stands from the given one on, None where none follows.
+    """
+    epoch_us: int | None = window.start_us
+    while epoch_us is not None and epoch_us < window.stop_us:
+        with database.read() as connection:
+            epoch_us = next_us(connection, epoch_us)
+            if epoch_us is None or epoch_us >= window.stop_us:
+                return
+            stop_us = min(window.stop_us, day_of(epoch_us) * DAY_US + _SEASON_US)
+            yield connection, Window(epoch_us, stop_us)
+        epoch_us = stop_us
+
+
+def next_row_us(
+    connection: Connection, column: ColumnElement[int], rows: Conditions, segments: Conditions, epoch_us: int
+) -> int | None:
+    """Return an epoch up to which no row stands from the given one on; None where none follows.
+
+    Parameters
+    ----------
+    column : ColumnElement
+        Epochs of the table of rows.
+    rows, segments : sequence of conditions
+        Of what is looked for.
+    """
+    first_us = connection.scalar(select(func.min(column)).where(*rows, column >= epoch_us))
+    head = next(heads(connection, segments, epoch_us, 1 << 62), None)
+    found = [first_us, None if head is None else head.first_epoch_us]
+    return min((max(each, epoch_us) for each in found if each is not None), default=None)
 
 
 def _fits(head: SegmentHead, intervals: Intervals, bin_us: int) -> bool:

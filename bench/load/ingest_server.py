@@ -18,7 +18,7 @@ import uvicorn
 
 from db.connection.engines import open_engines
 from db.encoding.segments import SegmentCache
-from db.measurements.ingest import store_batch
+from db.measurements.ingest import StoreBatch
 from db.measurements.row_insert import PreparedBatch, prepare
 from service.api.server_process import StreamingServer, calm_collector
 from service.composition.bootstrap import build_app, build_storage
@@ -95,7 +95,7 @@ class CommitPerRequest:
         if not hasattr(self._of_thread, "engine"):
             self._of_thread.engine = open_engines(self._url).write
         with self._of_thread.engine.begin() as connection:
-            return store_batch(connection, prepared, self._cache)
+            return StoreBatch(prepared, self._cache)(connection)
 
 
 def main() -> None:

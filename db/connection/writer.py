@@ -5,30 +5,18 @@ import sqlite3
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
-from functools import lru_cache
 from itertools import groupby
 from queue import Empty, SimpleQueue
 from threading import Lock, Thread
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
-from sqlalchemy import Connection, Engine, Select, Table, Update
+from sqlalchemy import Connection, Engine, Table
 from sqlalchemy.dialects import postgresql, sqlite
-from sqlalchemy.engine import Dialect
 from sqlalchemy.exc import DBAPIError, OperationalError, SQLAlchemyError
 
 from db.connection.engines import storage_error
 from db.schema.columns import checksum_of
 from service.errors import StorageError
-
-
-class StatementResult(Protocol):
-    """Result of a prepared statement, to be read at once."""
-
-    def fetchone(self) -> Any:
-        """Return the next row, None after the last."""
-
-    def fetchall(self) -> Any:
-        """Return all rows."""
 
 
 def run_bare(connection: Connection, text: str, values: tuple[Any, ...]) -> sqlite3.Cursor:
@@ -40,42 +28,6 @@ def run_bare(connection: Connection, text: str, values: tuple[Any, ...]) -> sqli
         # the values stay out of it: they are blobs of whole batches
         raise OperationalError(text, None, fault) from fault
     return cursor
-
-
-class PreparedStatement:
-    """A statement and its text in the dialect that runs it.
-
-    Parameters
-    ----------
-    statement : Select or Update
-        Its parameters are named by ``bindparam``.
-    names : str
-        Names of the parameters, in the order of the values that ``run`` takes.
-    """
-
-    def __init__(self, statement: Select[Any] | Update, *names: str) -> None:
-        self._statement = statement
-        self._names = names
-        self._known: dict[str, tuple[str, tuple[int, ...] | None]] = {}
-
-    def run(self, connection: Connection, *values: Any) -> StatementResult:
-        """Execute with one set of values."""
-        text, order = self._compiled(connection.dialect)
-        if order is None:
-            return connection.exec_driver_sql(text, dict(zip(self._names, values, strict=True)))
-        placed = tuple(values[position] for position in order)
-        if connection.dialect.name == "sqlite":
-            return run_bare(connection, text, placed)
-        return connection.exec_driver_sql(text, placed)
-
-    def _compiled(self, dialect: Dialect) -> tuple[str, tuple[int, ...] | None]:
-        """Return the text, and the places of the values if the driver takes them by position."""
-        known = self._known.get(dialect.name)
-        if known is None:
-            compiled = self._statement.compile(dialect=dialect)
-            order = tuple(self._names.index(name) for name in compiled.positiontup or ())
-            known = self._known[dialect.name] = (str(compiled), order if compiled.positional else None)
-        return known
 
 
 #: serialization_failure, deadlock_detected: one of two transactions was ended, the other went on
@@ -104,42 +56,14 @@ def _state_of(fault: BaseException) -> str | None:
     return None if found is None else str(found)
 
 
-class _Insertion(NamedTuple):
-    """Statement in a dialect."""
-
-    text: str
-    #: columns in the order of their values
-    names: tuple[str, ...]
-    #: what makes of a value that of the driver, by column; None = it is the value
-    converted: tuple[Callable[[Any], Any] | None, ...]
-
-
 def insert_new(connection: Connection, table: Table, rows: Sequence[Mapping[str, Any]]) -> int:
     """Insert rows of the same columns and return how many were new; those whose primary key exists stay as they are."""
     if not rows:
         return 0
-    named = [{**row, "checksum": checksum_of(table, row)} for row in rows] if "checksum" in table.c else rows
-    dialect = connection.dialect
-    text, names, converted = _insertion(dialect, table, tuple(named[0]))
-    columns = (
-        [row[name] for row in named] if convert is None else [convert(row[name]) for row in named]
-        for name, convert in zip(names, converted, strict=True)
-    )
-    values: Any = list(zip(*columns, strict=True))
-    if not dialect.positional:
-        values = [dict(zip(names, each, strict=True)) for each in values]
-    return connection.exec_driver_sql(text, values, execution_options={"preserve_rowcount": True}).rowcount
-
-
-@lru_cache(maxsize=64)
-def _insertion(dialect: Dialect, table: Table, columns: tuple[str, ...]) -> _Insertion:
-    """Return the statement that gives values to some columns of a table."""
-    insert = sqlite.insert if dialect.name == "sqlite" else postgresql.insert
-    statement = insert(table).on_conflict_do_nothing().inline()
-    compiled: Any = statement.compile(dialect=dialect, column_keys=list(columns))
-    names = tuple(compiled.positiontup) if dialect.positional else columns
-    kinds = (table.c[name].type.dialect_impl(dialect) for name in names)
-    return _Insertion(str(compiled), names, tuple(kind.bind_processor(dialect) for kind in kinds))
+    named = [{**row, "checksum": checksum_of(table, row)} for row in rows] if "checksum" in table.c else list(rows)
+    insert = sqlite.insert if connection.dialect.name == "sqlite" else postgresql.insert
+    statement = insert(table).on_conflict_do_nothing().inline().execution_options(preserve_rowcount=True)
+    return connection.execute(statement, named).rowcount
 
 
 Result = TypeVar("Result")

@@ -1,1 +1,1 @@
-"""Encoding of rows: packed powers, sealed days as Parquet, JSON documents."""
+"""Encoding of rows: powers as bytes, sealed days as Parquet, JSON documents."""

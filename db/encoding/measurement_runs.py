@@ -1,86 +1,15 @@
-"""Details of measurements, in runs of equal ones; results of carriers as bytes."""
+"""Rows of several sources and segments in order: as runs of one piece, and as blocks."""
 
-import json
-import struct
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from sqlalchemy import Connection
 
-from db.connection.writer import run_bare
-from service.records.levels.attitude import STEP_DB, BoolArray, CarrierResults, FloatArray, IntArray
-from service.records.levels.measurement import DETAIL_NAMES, CarrierDetails, Float32Array, Measurement, MeasurementBlock
+from service.ports.archive import Cursor
+from service.records.levels.attitude import IntArray
+from service.records.levels.measurement import Float32Array, Measurement, MeasurementBlock
 
-_AT_ONCE = """
-INSERT INTO measurement_detail (spacecraft_key, source_key, epoch_us, figures)
-SELECT ?1, ?2, row.value, substr(?3, 1 + row.key * ?4, ?4) FROM json_each(?5) AS row
-"""
-_AT_ONCE_ON_A_SERVER = """
-INSERT INTO measurement_detail (spacecraft_key, source_key, epoch_us, figures)
-SELECT %s, %s, row.epoch_us, substr(%s::bytea, (1 + (row.place - 1) * %s)::int, %s)
-FROM unnest(%s::bigint[]) WITH ORDINALITY AS row (epoch_us, place)
-"""
-
-
-class PreparedDetails(NamedTuple):
-    """Details of a batch as bytes."""
-
-    #: (T,) whether a row states any figure at all
-    is_stated: BoolArray
-    #: bytes of one row
-    width: int
-    #: of all rows
-    figures: bytes
-
-    def of_row(self, position: int) -> bytes | None:
-        """Return the figures of a row, None when it states none."""
-        return self.figures[position * self.width : (position + 1) * self.width] if self.is_stated[position] else None
-
-
-def prepare_details(details: CarrierDetails | None) -> PreparedDetails | None:
-    """Return the details of a batch as bytes, None when no row states any figure."""
-    if details is None:
-        return None
-    every = np.stack([getattr(details, name) for name in DETAIL_NAMES], axis=1).astype("<f4")
-    is_known = ~np.isnan(every)
-    kinds = np.flatnonzero(is_known.any(axis=(0, 2)))
-    if not len(kinds):
-        return None
-    figures = np.ascontiguousarray(every[:, kinds]).reshape(len(every), -1).view(np.uint8)
-    mask = np.full((len(every), 1), np.bitwise_or.reduce(1 << kinds), dtype=np.uint8)
-    rows = np.hstack((mask, figures))
-    return PreparedDetails(is_known.any(axis=(1, 2)), rows.shape[1], rows.tobytes())
-
-
-def insert_details(
-    connection: Connection, spacecraft_key: int, source_key: int, epochs_us: list[int], width: int, figures: bytes
-) -> None:
-    """Insert the details of rows, ``width`` bytes each."""
-    if not epochs_us:
-        return
-    if connection.dialect.name == "sqlite":
-        run_bare(connection, _AT_ONCE, (spacecraft_key, source_key, figures, width, json.dumps(epochs_us)))
-    else:
-        values = (spacecraft_key, source_key, figures, width, width, epochs_us)
-        connection.exec_driver_sql(_AT_ONCE_ON_A_SERVER, values)
-
-
-def details_of(blob: bytes, carriers: int) -> CarrierDetails:
-    """Return the details in a blob, each (N,), read-only."""
-    mask, stored = blob[0], np.frombuffer(blob, dtype="<f4", offset=1).reshape(-1, carriers)
-    found: dict[str, FloatArray] = {}
-    for kind, name in enumerate(DETAIL_NAMES):
-        position = (mask & ((1 << kind) - 1)).bit_count()
-        figures = stored[position].astype(np.float64) if mask >> kind & 1 else np.full(carriers, np.nan)
-        figures.setflags(write=False)
-        found[name] = figures
-    return CarrierDetails(**found)
-
-
-#: place of a row in the order of epochs: its epoch and its journal number
-Cursor = tuple[int, int]
 #: rows of a run from which on a run is told as it lies, mean of a page
 _LONG_RUN = 64
 
@@ -204,27 +133,3 @@ def end_us(parts: Sequence[ChunkRun], limit: int) -> int | None:
         return None
     epochs_us = np.concatenate([chunk.epochs_us[positions] for chunk, positions in parts])
     return int(np.partition(epochs_us, limit - 1)[limit - 1]) + 1
-
-
-_NONE, _MOST = -(1 << 15), (1 << 15) - 1
-_PLAN = struct.Struct("<i")
-_CARRIER_BYTES = 5
-_STATE_BITS = 4
-
-
-def pack_carriers(results: CarrierResults) -> bytes:
-    """Return the results of a row as bytes."""
-    words = (results.state | results.hypothesis << _STATE_BITS).astype(np.uint8)
-    steps = np.rint(np.concatenate((results.deviation_db, results.residual_db)) / STEP_DB)
-    levels = np.where(np.isnan(steps), _NONE, np.minimum(np.maximum(steps, -_MOST), _MOST)).astype("<i2")
-    return b"".join((_PLAN.pack(results.plan_id), levels.tobytes(), words.tobytes()))
-
-
-def unpack_carriers(blob: bytes) -> CarrierResults:
-    """Return the results of a row."""
-    count = (len(blob) - _PLAN.size) // _CARRIER_BYTES
-    levels = np.frombuffer(blob, dtype="<i2", count=2 * count, offset=_PLAN.size).reshape(2, count)
-    values: FloatArray = np.where(levels == _NONE, np.nan, levels * STEP_DB)
-    words: IntArray = np.frombuffer(blob, dtype=np.uint8, offset=_PLAN.size + 4 * count).astype(np.int64)
-    low = (1 << _STATE_BITS) - 1
-    return CarrierResults(_PLAN.unpack_from(blob)[0], values[0], values[1], words & low, words >> _STATE_BITS)

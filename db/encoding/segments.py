@@ -13,17 +13,24 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from sqlalchemy import ColumnElement, Connection, Table, and_, select, tuple_
+from sqlalchemy import Column, ColumnElement, Connection, Select, Table, and_, select, tuple_
 
 from db.encoding.column_blob import ColumnBlob, decimals, levels_of
-from db.encoding.record_codec import RowContent, row_content
-from db.schema.columns import agrees, checksum_of
+from db.encoding.measurement_rows import (
+    RowContent,
+    StoredArrays,
+    canonical,
+    measurement_of,
+    row_content,
+    stored_arrays,
+)
+from db.schema.columns import agrees
 from db.schema.tables import measurement, source, spacecraft
 from db.schema.tables import segment as segment_table
 from service.errors import StorageError
 from service.records.epoch import US_PER_S, format_epoch
 from service.records.levels.attitude import BoolArray, IntArray
-from service.records.levels.measurement import DETAIL_NAMES, CarrierDetails, Float32Array, Measurement
+from service.records.levels.measurement import DETAIL_NAMES, Float32Array, Measurement
 
 DAY_US = 86_400 * US_PER_S
 #: bytes of unpacked rows that are kept for the next reader
@@ -139,9 +146,7 @@ def measured_arrays(rows: MeasuredColumns) -> dict[str, Any]:
 def _level_column(levels: Float32Array) -> Any:
     """Return levels as decimals where these are exact, else as they are, every NaN the same NaN."""
     found = (decimals(levels, places) for places in _PLACES)
-    canonical = np.array(levels, dtype="<f4")
-    canonical[np.isnan(canonical)] = np.nan
-    return next((each for each in found if each is not None), canonical)
+    return next((each for each in found if each is not None), canonical(levels))
 
 
 class MeasurementSegment:
@@ -200,40 +205,24 @@ class MeasurementSegment:
 
     def content(self, position: int) -> RowContent:
         """Return the content of a row."""
-        return row_content(self.plan_id, self.power_dbm()[position], self.flags(position), self.details()[position])
+        return row_content(self.plan_id, self._arrays(position))
 
     def record(self, position: int) -> Measurement:
         """Return the row at a place."""
-        flags, seq = self.flags(position), int(self._seqs[position])
-        if flags is not None:
-            flags = flags.astype(np.int64)
-            flags.setflags(write=False)
-        power_dbm = self.power_dbm()[position].astype(np.float64)
-        power_dbm.setflags(write=False)
-        return Measurement(
-            epoch_us=int(self.epochs_us[position]),
-            received_at_us=int(self.received_at_us[position]),
-            number=int(self.numbers[position]),
-            source=self.source,
-            plan_id=self.plan_id,
-            power_dbm=power_dbm,
-            flags=flags,
-            is_late=bool(self._is_late[position]),
-            feeds_estimator=bool(self.feeds[position]),
-            seq=None if seq < 0 else seq,
-            details=self._details_of(position),
-        )
+        epoch_us, seq = int(self.epochs_us[position]), int(self._seqs[position])
+        place = (0, epoch_us, 0, int(self.numbers[position]), self.plan_id, None if seq < 0 else seq)
+        delay_us = int(self.received_at_us[position]) - epoch_us
+        claims = (bool(self._is_late[position]), bool(self.feeds[position]))
+        return measurement_of((*place, delay_us, *claims, *self._arrays(position)), self.source)
+
+    def _arrays(self, position: int) -> StoredArrays:
+        """Return the arrays of a row as the table of rows has them."""
+        one = slice(position, position + 1)
+        return stored_arrays(self.power_dbm()[one], [self.flags(position)], self.details()[one])[0]
 
     def flags(self, position: int) -> IntArray | None:
         """Return the bit masks of a row, None when it has none."""
         return self.all_flags()[position] if self._has_flags[position] else None
-
-    def _details_of(self, position: int) -> CarrierDetails | None:
-        figures = self.details()[position].astype(np.float64)
-        if np.isnan(figures).all():
-            return None
-        figures.setflags(write=False)
-        return CarrierDetails(*figures)
 
     def _levels(self, prefix: str) -> Float32Array:
         """Return levels of the carriers, (T, N), NaN where a carrier has no column."""
@@ -246,7 +235,10 @@ class MeasurementSegment:
 
 
 class SegmentCache:
-    """Pieces read lately, as many as fit some bytes; safe from any thread."""
+    """Pieces read lately, as many as fit some bytes, one at least; safe from any thread.
+
+    Who reads more than fits takes one of no bytes, so that what others read again and again stays.
+    """
 
     def __init__(self, size_bytes: int = CACHE_BYTES) -> None:
         self._size_bytes = size_bytes
@@ -275,28 +267,6 @@ class SegmentCache:
             while self._bytes > self._size_bytes and len(self._held) > 1:
                 self._bytes -= self._held.popitem(last=False)[1][0]
 
-    def for_scan(self) -> "SegmentCache":
-        """Return a cache for one reader of more than fits: it finds what is held here and adds nothing."""
-        return _ScanCache(self)
-
-    def clear(self) -> None:
-        """Forget every piece."""
-        with self._lock:
-            self._held.clear()
-            self._bytes = 0
-
-
-class _ScanCache(SegmentCache):
-    """Cache for one scan, returned by `SegmentCache.for_scan`: it keeps its last chunk only."""
-
-    def __init__(self, shared: SegmentCache) -> None:
-        super().__init__(size_bytes=0)
-        self._shared = shared
-
-    def get(self, head: SegmentHead) -> MeasurementSegment | None:
-        """Return the chunk of a head if it was the last one, or if the shared cache holds it."""
-        return super().get(head) or self._shared.get(head)
-
 
 def heads(
     connection: Connection,
@@ -307,34 +277,29 @@ def heads(
     newest_first: bool = False,
 ) -> Iterator[SegmentHead]:
     """Yield the heads of segments that reach into [start, stop), in order of their first epoch, some at a time."""
-    first, key_of_source = segment_table.c.first_epoch_us, segment_table.c.source_key
-    order = (first.desc(), key_of_source.desc()) if newest_first else (first, key_of_source)
-    position = tuple_(first, key_of_source)
-    query = (
-        select(*HEAD_COLUMNS)
-        # a segment ends on the day on which it begins
-        .where(*conditions, first >= day_of(start_us) * DAY_US, first < stop_us)
-        .where(segment_table.c.last_epoch_us >= start_us)
-        .order_by(*order)
-        .limit(_HEADS)
-    )
-    page = [SegmentHead(*row) for row in connection.execute(query)]
-    yield from page
-    while len(page) == _HEADS:
-        end = (page[-1].first_epoch_us, page[-1].source_key)
-        is_beyond = position < end if newest_first else position > end
-        page = [SegmentHead(*row) for row in connection.execute(query.where(is_beyond))]
-        yield from page
+    first = segment_table.c.first_epoch_us
+    # a segment ends on the day on which it begins
+    is_inside = (first >= day_of(start_us) * DAY_US, first < stop_us, segment_table.c.last_epoch_us >= start_us)
+    query = select(*HEAD_COLUMNS).where(*conditions, *is_inside)
+    return _paged(connection, query, (first, segment_table.c.source_key), newest_first=newest_first)
 
 
 def heads_where(connection: Connection, *conditions: ColumnElement[bool]) -> Iterator[SegmentHead]:
     """Yield the heads of segments by their ids, some at a time."""
-    name = segment_table.c.segment_id
-    query = select(*HEAD_COLUMNS).where(*conditions).order_by(name).limit(_HEADS)
+    return _paged(connection, select(*HEAD_COLUMNS).where(*conditions), (segment_table.c.segment_id,))
+
+
+def _paged(
+    connection: Connection, query: Select[Any], columns: Sequence[Column[int]], *, newest_first: bool = False
+) -> Iterator[SegmentHead]:
+    """Yield heads in the order of columns, or in the reverse order."""
+    query = query.order_by(*(column.desc() if newest_first else column for column in columns)).limit(_HEADS)
     page = [SegmentHead(*row) for row in connection.execute(query)]
     yield from page
     while len(page) == _HEADS:
-        page = [SegmentHead(*row) for row in connection.execute(query.where(name > page[-1].segment_id))]
+        position, end = tuple_(*columns), tuple(getattr(page[-1], column.name) for column in columns)
+        is_beyond = position < end if newest_first else position > end
+        page = [SegmentHead(*row) for row in connection.execute(query.where(is_beyond))]
         yield from page
 
 
@@ -372,12 +337,12 @@ _Chunk = TypeVar("_Chunk")
 def opened(connection: Connection, head: SegmentHead, read: Callable[[ColumnBlob], _Chunk]) -> _Chunk:
     """Return what a reader makes of the blob of a segment after it was compared; StorageError ``storage.corrupt``."""
     is_it = segment_table.c.segment_id == head.segment_id
-    content = connection.scalar(select(segment_table.c.content).where(is_it))
+    row = connection.execute(select(segment_table).where(is_it)).first()
     try:
-        if not agrees(head.checksum, partial(checksum_of, segment_table, {**head._asdict(), "content": content})):
+        if row is None or not agrees(segment_table, row):
             message = "its checksum differs from its content"
             raise ValueError(message)  # noqa: TRY301 - told as every other fault of the blob
-        return read(ColumnBlob(content or b"", head.row_count))
+        return read(ColumnBlob(row.content, row.row_count))
     except ValueError as fault:
         raise corrupt(connection, head, str(fault)) from fault
 

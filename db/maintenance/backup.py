@@ -44,7 +44,7 @@ from service.records.storage import BackupError, Diagnosis, Manifest, Spacecraft
 _ROWS = 2000
 #: rows with large blobs are held few at a time
 _ROWS_OF_BLOBS = 100
-_BLOB_TABLES = frozenset({"checkpoint", "replay_checkpoint", "segment", "summary", "trace"})
+_BLOB_TABLES = frozenset({"checkpoint", "segment", "summary", "trace"})
 
 
 def copy_tables(source: Connection, target: Connection, progress: Progress) -> None:

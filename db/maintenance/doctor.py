@@ -25,6 +25,7 @@ from db.schema.tables import (
     spacecraft,
 )
 from service.errors import StorageError
+from service.ports.archive import LIVE
 from service.records.calibration import Alignment, CalibrationRequest, CalibrationResult
 from service.records.catalogue import Carrier, Ephemeris, Spacecraft
 from service.records.epoch import US_PER_S, format_epoch
@@ -43,8 +44,9 @@ def restart_forecasts(connection: Connection, fingerprint: str) -> Iterator[Diag
     heads = select(spacecraft.c.id, head.c.spacecraft_key, head.c.consumed_number).join(
         spacecraft, spacecraft.c.spacecraft_key == head.c.spacecraft_key
     )
+    is_fit = (checkpoint.c.version == LIVE, checkpoint.c.fingerprint == fingerprint)
     for name, key, consumed in connection.execute(heads.order_by(head.c.spacecraft_key)).all():
-        kept = _newest(connection, checkpoint, key, consumed, checkpoint.c.fingerprint == fingerprint)
+        kept = _newest(connection, checkpoint, key, consumed, *is_fit)
         aligned = _newest(connection, alignment, key, consumed)
         if not (kept or aligned):
             continue

@@ -25,7 +25,6 @@ from db.schema.tables import (
     head,
     journal,
     measurement,
-    measurement_detail,
     retention_mark,
     segment,
     source,
@@ -402,26 +401,10 @@ def _counts(connection: Connection, state: Row[Any], name: str, ledger: Ledger) 
     wrong += [f"{held} rows belong to no source" for held in ledger.rows_of_source.values()]
     if state.consumed_number > state.newest_number:
         wrong.append(f"the chain stands at {state.consumed_number}, beyond the journal's {state.newest_number}")
-    wrong += _details(connection, state.spacecraft_key)
     if wrong:
         yield Diagnosis("counts", "fault", f"{name}: {'; '.join(wrong)}", _RESTORE)
         return
     yield Diagnosis("counts", "ok", f"{name}: {counted} rows, as its sources count")
-
-
-def _details(connection: Connection, key: int) -> list[str]:
-    """Return the faults of the details stored beside rows."""
-    both = (measurement_detail.c.epoch_us == measurement.c.epoch_us) & (
-        measurement_detail.c.source_key == measurement.c.source_key
-    )
-    query = (
-        select(func.count())
-        .select_from(measurement_detail)
-        .outerjoin(measurement, both & (measurement.c.spacecraft_key == key))
-        .where(measurement_detail.c.spacecraft_key == key, measurement.c.number.is_(None))
-    )
-    lost = connection.scalar(query) or 0
-    return [f"{lost} rows of details belong to no measurement"] if lost else []
 
 
 def _results(connection: Connection, state: Row[Any], name: str, ledger: Ledger) -> Iterator[Diagnosis]:

@@ -15,18 +15,17 @@ import numpy as np
 from sqlalchemy import ColumnElement, Connection, Row, Select, and_, func, or_, select, update
 
 from db.database import Database, EpochSpan, add_entries, count_entries, lock_head, next_id, page_of, within
-from db.encoding.measurement_runs import Cursor
 from db.encoding.record_codec import decode, decode_all, decode_input, encode, kind_of
-from db.encoding.segments import DAY_US
+from db.encoding.segments import DAY_US, SegmentCache
 from db.measurements import power_samples, retention, sealing
 from db.measurements.ingest import StoreBatch
-from db.measurements.journal_heads import HEAD_COLUMNS, head_states, journal_heads
+from db.measurements.journal_heads import HEAD_COLUMNS, SOURCE_COLUMNS, head_states, journal_heads, source_state
 from db.measurements.measurement_pages import EVER, UNCHECKED, Chosen, MeasurementPages
 from db.measurements.row_insert import prepare
 from db.schema.columns import sound_rows
 from db.schema.tables import carrier_plan, head, journal, operation, source, source_key_run
 from service.errors import InvalidInputError, NotFoundError
-from service.ports.archive import Intervals, MeasuredFigure, SampledPowers
+from service.ports.archive import Cursor, Intervals, ListPart, MeasuredFigure, SampledPowers
 from service.records.calibration import Window
 from service.records.catalogue import Carrier
 from service.records.inputs import (
@@ -220,8 +219,8 @@ class SqlArchive:
     def sources(self, spacecraft_id: str) -> tuple[SourceState, ...]:
         """Return all measurement sources."""
         key = self._database.key(spacecraft_id)
-        query = select(source).where(source.c.spacecraft_key == key).order_by(source.c.source_key)
-        return tuple(_source_state(row) for row in self._database.fetch(query))
+        query = select(*SOURCE_COLUMNS).where(source.c.spacecraft_key == key).order_by(source.c.source_key)
+        return tuple(map(source_state, self._database.fetch(query)))
 
     def select_source(self, spacecraft_id: str, source: str) -> SourceState:
         """Make a source the prime one, journaled; rows stored from then on feed the estimator."""
@@ -290,20 +289,10 @@ class SqlArchive:
         )
         return _slow_entries(self._database.fetch(query), is_compared=False)
 
-    def inputs(
-        self,
-        spacecraft_id: str,
-        kind: str,
-        window: Window,
-        limit: int,
-        after: tuple[int, int] | None,
-        *,
-        newest_first: bool = False,
-        is_compared: bool = True,
-    ) -> list[JournalEntry]:
+    def inputs(self, spacecraft_id: str, kind: str, part: ListPart, *, is_compared: bool = True) -> list[JournalEntry]:
         """Return slow inputs of a kind that overlap a window, in order of (start, number), beyond a cursor."""
-        query = _inputs(self._database.key(spacecraft_id), kind, window)
-        page = page_of(query, *_POSITION, limit, after, newest_first=newest_first)
+        query = _inputs(self._database.key(spacecraft_id), kind, part.window)
+        page = page_of(query, *_POSITION, part._replace(window=EVER))
         return _slow_entries(self._database.fetch(page), is_compared=is_compared)
 
     def newest_measurement(self, spacecraft_id: str) -> Measurement | None:
@@ -316,20 +305,11 @@ class SqlArchive:
                 return None
             return self._pages(connection, key).at(newest.source_key, newest.newest_epoch_us)
 
-    def measurements(
-        self,
-        spacecraft_id: str,
-        window: Window,
-        limit: int,
-        after: tuple[int, int] | None,
-        source: str | None = None,
-        *,
-        newest_first: bool = False,
-    ) -> list[Measurement]:
+    def measurements(self, spacecraft_id: str, part: ListPart, source: str | None = None) -> list[Measurement]:
         """Return rows in order of (epoch, number) beyond a cursor; every source unless one is named."""
         with self._database.read() as connection:
             pages = self._pages(connection, self._database.key(spacecraft_id))
-            found = pages.records(Chosen(window, source), limit, after, newest_first=newest_first)
+            found = pages.records(part, source)
             return _with_keys(connection, pages, found)
 
     def measurement_blocks(
@@ -343,7 +323,7 @@ class SqlArchive:
         after: Cursor | None = None
         cache, window = self._database.segments, chosen.window
         if window.stop_us - window.start_us > _SCAN_US:
-            cache = cache.for_scan()
+            cache = SegmentCache(0)
         while True:
             with self._database.read() as connection:
                 blocks, after = MeasurementPages(connection, cache, key).read_blocks(chosen, BLOCK_PAGE_ROWS, after)
@@ -378,7 +358,7 @@ class SqlArchive:
 
     def _records(self, key: int, chosen: Chosen) -> Iterator[Measurement]:
         after: Cursor | None = None
-        cache = self._database.segments.for_scan()
+        cache = SegmentCache(0)
         while True:
             with self._database.read() as connection:
                 runs = MeasurementPages(connection, cache, key).read(chosen, RECORD_PAGE_ROWS, after, columns=UNCHECKED)
@@ -423,7 +403,7 @@ class SqlArchive:
         query = _inputs(self._database.key(spacecraft_id), "reference", window)
         sensors: dict[str, list[ReferenceSeries]] = {}
         after: Cursor | None = None
-        while rows := self._database.fetch(page_of(query, *_POSITION, RECORD_PAGE_ROWS, after)):
+        while rows := self._database.fetch(page_of(query, *_POSITION, ListPart(EVER, RECORD_PAGE_ROWS, after))):
             page: dict[str, list[AttitudeReference]] = {}
             for row in sound_rows(journal, rows):
                 reference = decode(AttitudeReference, row.document)
@@ -500,12 +480,7 @@ def _select_source(connection: Connection, key: int, name: str) -> SourceState:
     connection.execute(update(source).where(source.c.spacecraft_key == key).values(is_prime=(source.c.name == name)))
     count = 1 + count_entries(connection, key, "source")
     add_entries(connection, key, [(SourceSelection(name, count), None)])
-    return _source_state(connection.execute(select(source).where(*is_it)).one())
-
-
-def _source_state(row: Row[Any]) -> SourceState:
-    role = "prime" if row.is_prime else "backup"
-    return SourceState(row.name, role, row.newest_epoch_us, row.row_count, row.rows_missing, row.station, row.key_id)
+    return source_state(connection.execute(select(*SOURCE_COLUMNS).where(*is_it)).one())
 
 
 def _with_keys(connection: Connection, pages: MeasurementPages, rows: Sequence[Measurement]) -> list[Measurement]:

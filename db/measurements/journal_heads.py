@@ -5,17 +5,18 @@ lacks is told by a head that stands elsewhere. The digest is of what an entry sa
 """
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from hashlib import sha256
+from typing import Any
 
 import numpy as np
 from sqlalchemy import Connection, select
 
 from db.encoding.segments import SegmentCache
 from db.measurements.measurement_pages import MeasurementPages
-from db.schema.tables import head, journal, spacecraft
+from db.schema.tables import head, journal, source, spacecraft
 from service.records.inputs import JournalHead
-from service.records.levels.measurement import DETAIL_NAMES, HeadState, Measurement
+from service.records.levels.measurement import DETAIL_NAMES, HeadState, Measurement, SourceState
 from service.records.storage import Diagnosis
 
 #: where the journal and its consumer stand, in the order of `HeadState`
@@ -26,9 +27,19 @@ HEAD_COLUMNS = (
     head.c.consumed_epoch_us,
     head.c.result_sequence,
 )
+#: in the order in which `source_state` takes them
+SOURCE_COLUMNS = tuple(
+    source.c[name] for name in ("name", "is_prime", "newest_epoch_us", "row_count", "rows_missing", "station", "key_id")
+)
 _DIGITS = 16
 _LOST = "Stop the service. Restore a backup, or put the missing files back; then let the front ends send again."
 _OTHER = "Right after a restore, wrong otherwise: compare the archive with a backup of before."
+
+
+def source_state(row: Sequence[Any]) -> SourceState:
+    """Return the state of a source from its columns."""
+    name, is_prime, *figures = row
+    return SourceState(name, "prime" if is_prime else "backup", *figures)
 
 
 def head_states(connection: Connection) -> dict[str, HeadState]:

@@ -5,17 +5,16 @@ A page begins behind a cursor (epoch, number), which stays true whatever happens
 
 from collections.abc import Iterator, Sequence
 from functools import cached_property
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
 from sqlalchemy import ColumnElement, Connection, Row, Select, and_, func, select
 
-from db.database import beyond, within
-from db.encoding.measurement_runs import ChunkRun, Cursor, OrderedRows, end_us
-from db.encoding.power_codec import unpack_powers
-from db.encoding.row_mapping import MEASUREMENT_COLUMNS, RECEIVED_AT_US, measurement_of, measurements_of
+from db.database import beyond, newest_rows, start_of_last, within
+from db.encoding.measurement_rows import details_of, measurement_of, powers_of
+from db.encoding.measurement_runs import ChunkRun, OrderedRows, end_us
 from db.encoding.segments import (
-    DAY_US,
     MeasurementSegment,
     SegmentCache,
     SegmentHead,
@@ -25,12 +24,12 @@ from db.encoding.segments import (
     of_measurements,
     read_chunk,
 )
-from db.measurements.checksum_check import require_sound
-from db.newest_rows import newest_rows, start_of_last
-from db.schema.tables import measurement, measurement_detail, segment, source
+from db.schema.columns import sound_rows
+from db.schema.tables import measurement, segment, source
+from service.ports.archive import Cursor, ListPart
 from service.records.calibration import Window
 from service.records.levels.attitude import BoolArray, IntArray
-from service.records.levels.measurement import Float32Array, Measurement, MeasurementBlock
+from service.records.levels.measurement import DETAIL_NAMES, Float32Array, Measurement, MeasurementBlock
 
 Columns = tuple[ColumnElement[Any], ...]
 #: rows of the table of rows in memory at once
@@ -38,23 +37,12 @@ _AT_ONCE = 8192
 #: above every journal number
 MAX_NUMBER = 1 << 62
 EVER = Window(-(1 << 62), 1 << 62)
+#: for records, compared with their checksums
+FULL: Columns = tuple(measurement.c)
 #: for records as they are stored, sound or not: of all that reads, the chain alone takes them so
-UNCHECKED: Columns = MEASUREMENT_COLUMNS
-#: for records
-FULL: Columns = (*MEASUREMENT_COLUMNS, measurement.c.checksum)
+UNCHECKED: Columns = FULL[:-1]
 #: for places alone
-LIGHT: Columns = (
-    measurement.c.epoch_us,
-    measurement.c.number,
-    RECEIVED_AT_US,
-    measurement.c.source_key,
-    measurement.c.plan_id,
-)
-#: for places and powers
-POWERS: Columns = (
-    *(*LIGHT, measurement.c.powers, measurement.c.flags, measurement.c.is_late, measurement.c.feeds),
-    *(measurement.c.seq, measurement_detail.c.figures, measurement.c.checksum),
-)
+LIGHT: Columns = tuple(measurement.c[name] for name in ("epoch_us", "number", "delay_us", "source_key", "plan_id"))
 
 
 class Chosen(NamedTuple):
@@ -70,27 +58,32 @@ class Chosen(NamedTuple):
 
 
 class RowChunk:
-    """Rows as the table of rows gives them: in columns of ``FULL``, or without records in fewer."""
+    """Rows of one source under one plan as the table of rows gives them; without records in columns of ``LIGHT``."""
 
-    def __init__(self, name: str, rows: Sequence[Row[Any]], columns: dict[str, tuple[Any, ...]]) -> None:
-        self._rows = rows
+    def __init__(self, name: str, rows: Sequence[Row[Any]]) -> None:
+        # by columns, which is a tenth of the time
+        columns = dict(zip(rows[0]._fields, zip(*rows, strict=True), strict=True))
+        self._rows, self._columns = rows, columns
         self.source, self.plan_id = name, columns["plan_id"][0]
-        self._blobs: tuple[bytes, ...] = columns.get("powers", ())
-        self._power_dbm: Float32Array | None = None
-        positions = (np.array(columns[name], dtype=np.int64) for name in ("epoch_us", "number", "received_at_us"))
-        self.epochs_us, self.numbers, self.received_at_us = positions
+        positions = (np.array(columns[name], dtype=np.int64) for name in ("epoch_us", "number", "delay_us"))
+        self.epochs_us, self.numbers, delays_us = positions
+        self.received_at_us = self.epochs_us + delays_us
+
+    @cached_property
+    def _powers(self) -> Float32Array:
+        return powers_of(self._columns["powers"])
 
     def power_dbm(self) -> Float32Array:
         """Return the powers as stored, (T, N) dBm."""
-        if self._power_dbm is None:
-            self._power_dbm = unpack_powers(self._blobs)
-        return self._power_dbm
+        return self._powers
+
+    def figure(self, name: str) -> Float32Array:
+        """Return one of the details, (T, N), NaN = not stated."""
+        return details_of(self._columns["figures"], self._powers.shape[1])[:, DETAIL_NAMES.index(name)]
 
     def record(self, position: int) -> Measurement:
         """Return the row at a place."""
-        power_dbm = self.power_dbm()[position].astype(np.float64)
-        power_dbm.setflags(write=False)
-        return measurement_of(self._rows[position], power_dbm)
+        return measurement_of(self._rows[position], self.source)
 
 
 class MeasurementPages:
@@ -118,21 +111,18 @@ class MeasurementPages:
             return [ChunkRun(chunk, positions[:limit]) for chunk, positions in parts]
         return OrderedRows(parts, limit).runs()
 
-    def records(
-        self, chosen: Chosen, limit: int, after: Cursor | None, *, newest_first: bool = False
-    ) -> list[Measurement]:
-        """Return the next rows behind a cursor, or before it where the newest come first."""
+    def records(self, part: ListPart, source: str | None) -> list[Measurement]:
+        """Return the rows of a part of the list of a source, or of all."""
+        chosen = Chosen(part.window, source)
 
-        def read(window: Window, most: int, behind: Cursor | None) -> list[Measurement]:
-            runs = self.read(chosen._replace(window=window), most, behind)
+        def read(some: ListPart) -> list[Measurement]:
+            runs = self.read(chosen._replace(window=some.window), some.limit, some.after)
             return [row for run in runs for row in run.records()]
 
         def start_of(window: Window, count: int) -> int:
             return self.start_of_newest(chosen._replace(window=window), count)
 
-        if newest_first:
-            return newest_rows(read, start_of, chosen.window, limit, after)
-        return read(chosen.window, limit, after)
+        return newest_rows(read, start_of, part) if part.newest_first else read(part)
 
     def start_of_newest(self, chosen: Chosen, count: int) -> int:
         """Return an epoch from which on so many chosen rows stand; the start of the window where there are fewer."""
@@ -152,7 +142,7 @@ class MeasurementPages:
 
         The last ones may be more than ``limit``, at most twice as many.
         """
-        parts = self._parts(chosen, limit, after, POWERS)
+        parts = self._parts(chosen, limit, after, FULL)
         if not parts:
             return [], None
         sealed = sum(len(run.positions) for run in parts if isinstance(run.chunk, MeasurementSegment))
@@ -180,14 +170,14 @@ class MeasurementPages:
         rows = self._connection.execute(query).all()
         return [*(ChunkRun(chunk, np.arange(len(chunk.epochs_us))) for chunk in self._chunks(rows)), *sealed]
 
-    def read_unsealed(self, chosen: Chosen, columns: Columns = POWERS) -> Iterator[ChunkRun]:
-        """Yield the rows of the table of rows with their powers, or with all that they hold."""
+    def read_unsealed(self, chosen: Chosen) -> Iterator[RowChunk]:
+        """Yield the rows of the table of rows, some at a time."""
         after: Cursor | None = None
-        query = self._rows(chosen, columns).order_by(measurement.c.epoch_us, measurement.c.number).limit(_AT_ONCE)
+        query = self._rows(chosen, FULL).order_by(measurement.c.epoch_us, measurement.c.number).limit(_AT_ONCE)
         while rows := self._connection.execute(
             query.where(beyond(measurement.c.epoch_us, measurement.c.number, after))
         ).all():
-            yield from (ChunkRun(chunk, np.arange(len(chunk.epochs_us))) for chunk in self._chunks(rows))
+            yield from self._chunks(rows)
             after = rows[-1].epoch_us, rows[-1].number
 
     def segments(self, chosen: Chosen) -> list[SegmentHead]:
@@ -195,25 +185,13 @@ class MeasurementPages:
         window = chosen.window
         return list(heads(self._connection, self._of_segments(chosen), window.start_us, window.stop_us))
 
-    def next_us(self, epoch_us: int) -> int | None:
-        """Return an epoch up to which no row stands from the given one on; None where none follows."""
-        rows = select(func.min(measurement.c.epoch_us)).where(
-            measurement.c.spacecraft_key == self.key, measurement.c.epoch_us >= epoch_us
-        )
-        days = select(func.min(segment.c.first_epoch_us)).where(
-            *of_measurements(self.key), segment.c.first_epoch_us >= day_of(epoch_us) * DAY_US
-        )
-        found = [self._connection.scalar(query) for query in (rows, days)]
-        return min((max(each, epoch_us) for each in found if each is not None), default=None)
-
     def of_numbers(self, after: int, upto: int, *, is_compared: bool) -> list[Measurement]:
         """Return the rows with a journal number in (after, upto], in no order."""
         is_next = and_(measurement.c.number > after, measurement.c.number <= upto)
-        everything = Chosen(EVER)
-        rows = self._connection.execute(self._rows(everything, FULL).where(is_next)).all()
+        rows = self._connection.execute(self._rows(Chosen(EVER), FULL).where(is_next)).all()
         if is_compared:
-            require_sound(self.key, rows)
-        found = measurements_of(rows)
+            sound_rows(measurement, rows)
+        found = [measurement_of(row, self.names[row.source_key]) for row in rows]
         for head in heads_of_numbers(self._connection, self.key, after, upto):
             chunk = read_chunk(self._connection, self._cache, head)
             positions = np.flatnonzero((chunk.numbers > after) & (chunk.numbers <= upto))
@@ -241,7 +219,7 @@ class MeasurementPages:
         """Return epoch, number and time of receipt of the row with the greatest (epoch, number)."""
         order = measurement.c.epoch_us.desc(), measurement.c.number.desc()
         row = self._connection.execute(self._rows(chosen, LIGHT).order_by(*order).limit(1)).first()
-        best = None if row is None else (row.epoch_us, row.number, row.received_at_us)
+        best = None if row is None else (row.epoch_us, row.number, row.epoch_us + row.delay_us)
         start_us = chosen.window.start_us if best is None else best[0]
         for head in heads(self._connection, self._of_segments(chosen), start_us, EVER.stop_us, newest_first=True):
             if best is not None and head.day < day_of(best[0]):
@@ -299,20 +277,7 @@ class MeasurementPages:
 
     def _rows(self, chosen: Chosen, columns: Columns) -> Select[Any]:
         """Return the query for the chosen rows of the table of rows."""
-        query = select(*columns).select_from(measurement)
-        if columns is FULL or columns is UNCHECKED:
-            is_its_source = and_(
-                source.c.spacecraft_key == measurement.c.spacecraft_key, source.c.source_key == measurement.c.source_key
-            )
-            query = query.join(source, is_its_source)
-        if columns is not LIGHT:
-            is_its_detail = and_(
-                measurement_detail.c.spacecraft_key == measurement.c.spacecraft_key,
-                measurement_detail.c.epoch_us == measurement.c.epoch_us,
-                measurement_detail.c.source_key == measurement.c.source_key,
-            )
-            query = query.outerjoin(measurement_detail, is_its_detail)
-        return query.where(measurement.c.spacecraft_key == self.key, *self._of_rows(chosen))
+        return select(*columns).where(measurement.c.spacecraft_key == self.key, *self._of_rows(chosen))
 
     def _of_rows(self, chosen: Chosen) -> list[ColumnElement[bool]]:
         conditions = [within(measurement.c.epoch_us, chosen.window)]
@@ -346,25 +311,18 @@ class MeasurementPages:
         return next((key for key, known in self.names.items() if known == name), 0)
 
     def _chunks(self, rows: Sequence[Row[Any]]) -> list[RowChunk]:
-        """Return rows piece by piece."""
+        """Return rows piece by piece; StorageError ``storage.corrupt`` where they came to be compared and differ."""
         if not rows:
             return []
-        columns = _columns(rows)
-        if "checksum" in columns:
-            require_sound(self.key, rows)
-        kinds = set(zip(columns["source_key"], columns["plan_id"], strict=True))
-        if len(kinds) == 1:
-            return [RowChunk(self.names[columns["source_key"][0]], rows, columns)]
-        found = []
-        for kind in kinds:
-            held = [row for row in rows if (row.source_key, row.plan_id) == kind]
-            found.append(RowChunk(self.names[kind[0]], held, _columns(held)))
-        return found
-
-
-def _columns(rows: Sequence[Row[Any]]) -> dict[str, tuple[Any, ...]]:
-    """Return rows column by column: an attribute of a row costs a microsecond."""
-    return dict(zip(rows[0]._fields, zip(*rows, strict=True), strict=True))
+        names = rows[0]._fields
+        if "checksum" in names:
+            sound_rows(measurement, rows)
+        # an attribute of a row costs a microsecond
+        kind_of = itemgetter(names.index("source_key"), names.index("plan_id"))
+        pieces: dict[tuple[int, int], list[Row[Any]]] = {}
+        for row in rows:
+            pieces.setdefault(kind_of(row), []).append(row)
+        return [RowChunk(self.names[kind[0]], its) for kind, its in pieces.items()]
 
 
 def _positions(chunk: MeasurementSegment, chosen: Chosen, after: Cursor | None, stop_us: int) -> IntArray:

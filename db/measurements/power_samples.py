@@ -2,21 +2,15 @@
 
 from collections.abc import Callable, Iterator, Sequence
 
-import numpy as np
 from sqlalchemy import Connection
 
 from db.database import Database
-from db.encoding.measurement_runs import ChunkRun
-from db.encoding.segments import DAY_US, SegmentCache, SegmentHead, day_of, read_chunk
-from db.measurements.measurement_pages import FULL, POWERS, Chosen, MeasurementPages
-from db.summaries import bins_within
+from db.encoding.segments import MeasurementSegment, of_measurements, read_chunk
+from db.measurements.measurement_pages import Chosen, MeasurementPages, RowChunk
+from db.schema.tables import measurement
+from db.summaries import bins_within, next_row_us, seasons
 from service.core.rows import Summaries
 from service.ports.archive import Intervals, MeasuredFigure, SampledPowers
-from service.records.calibration import Window
-from service.records.levels.attitude import FloatArray
-
-#: days that one read transaction looks at
-_SLICE_US = 128 * DAY_US
 
 
 def sampled(
@@ -29,52 +23,29 @@ def sampled(
 ) -> Iterator[SampledPowers]:
     """Yield rows in buckets that lie within one interval each, a read transaction a season.
 
-    A row is sealed or not within one transaction, and never leaves its day: each is counted once. ``carriers_of`` gives
-    the carriers of a plan.
+    ``carriers_of`` gives the carriers of a plan.
     """
-    epoch_us: int | None = chosen.window.start_us
-    while epoch_us is not None and epoch_us < chosen.window.stop_us:
-        with database.read() as connection:
-            pages = MeasurementPages(connection, database.segments, key)
-            epoch_us = pages.next_us(epoch_us)
-            if epoch_us is None or epoch_us >= chosen.window.stop_us:
-                return
-            stop_us = min(chosen.window.stop_us, day_of(epoch_us) * DAY_US + _SLICE_US)
-            part = chosen._replace(window=Window(epoch_us, stop_us))
-            heads = pages.segments(part)
-            for plan_id in sorted({head.plan_id for head in heads}):
-                of_plan = [head for head in heads if head.plan_id == plan_id]
-                columns = slice(len(carriers_of(plan_id)))
-                for buckets in _sealed(connection, database.segments, of_plan, intervals, figure, columns):
-                    yield SampledPowers(plan_id, buckets)
-            for run in pages.read_unsealed(part, POWERS if figure == "power_dbm" else FULL):
-                epochs_us = run.chunk.epochs_us[run.positions]
-                values = run.power_dbm() if figure == "power_dbm" else _c_n0_db_hz(run)
-                yield SampledPowers(run.chunk.plan_id, Summaries.of_rows(epochs_us, values))
-        epoch_us = stop_us
+
+    def next_us(connection: Connection, epoch_us: int) -> int | None:
+        row = measurement.c
+        return next_row_us(connection, row.epoch_us, [row.spacecraft_key == key], of_measurements(key), epoch_us)
+
+    for connection, window in seasons(database, chosen.window, next_us):
+        pages, part = MeasurementPages(connection, database.segments, key), chosen._replace(window=window)
+        heads = pages.segments(part)
+        for plan_id in sorted({head.plan_id for head in heads}):
+            of_plan = [head for head in heads if head.plan_id == plan_id]
+            columns = slice(len(carriers_of(plan_id)))
+            buckets, rest = bins_within(connection, of_plan, figure, intervals, columns)
+            if buckets is not None:
+                yield SampledPowers(plan_id, buckets)
+            for head in rest:
+                yield SampledPowers(plan_id, _bucket(read_chunk(connection, None, head), figure))
+        for chunk in pages.read_unsealed(part):
+            yield SampledPowers(chunk.plan_id, _bucket(chunk, figure))
 
 
-def _sealed(
-    connection: Connection,
-    cache: SegmentCache,
-    heads: Sequence[SegmentHead],
-    intervals: Intervals,
-    figure: MeasuredFigure,
-    columns: slice,
-) -> Iterator[Summaries]:
-    """Yield columns of the segments of one plan; those of a segment without a sound summary row by row."""
-    buckets, rest = bins_within(connection, heads, figure, intervals, columns)
-    if buckets is not None:
-        yield buckets
-    scan = cache.for_scan()
-    for head in rest:
-        chunk = read_chunk(connection, scan, head)
-        values = chunk.power_dbm() if figure == "power_dbm" else chunk.figure(figure)
-        yield Summaries.of_rows(chunk.epochs_us, values)
-
-
-def _c_n0_db_hz(run: ChunkRun) -> FloatArray:
-    """Return the C/N0 of rows of the table of rows, (n, N); NaN = not stated."""
-    none = np.full(run.power_dbm().shape[1], np.nan)
-    details = [row.details for row in run.records()]
-    return np.array([none if each is None else each.c_n0_db_hz for each in details], dtype=np.float64)
+def _bucket(chunk: RowChunk | MeasurementSegment, figure: MeasuredFigure) -> Summaries:
+    """Return the rows of a piece as buckets of their own."""
+    values = chunk.power_dbm() if figure == "power_dbm" else chunk.figure(figure)
+    return Summaries.of_rows(chunk.epochs_us, values)

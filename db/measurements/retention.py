@@ -30,7 +30,6 @@ from db.schema.tables import (
     attitude,
     head,
     measurement,
-    measurement_detail,
     retention_mark,
     segment,
     torque,
@@ -40,7 +39,7 @@ from service.records.storage import RetiredRows
 
 #: rows that one transaction drops
 ROWS_AT_ONCE = 500
-#: alarms or notes that one transaction drops; SQLite before 3.32 binds 999 values at most
+#: alarms or notes that one transaction drops
 LOGS_AT_ONCE = 500
 #: segments that one transaction drops
 SEGMENTS_AT_ONCE = 8
@@ -80,7 +79,7 @@ _ROWS = _Part(
     measurement,
     measurement.c.epoch_us,
     (measurement.c.epoch_us, measurement.c.source_key),
-    _length(measurement.c.powers) + _length(measurement.c.flags) + 64,
+    _length(measurement.c.powers) + _length(measurement.c.flags) + _length(measurement.c.figures) + 64,
     _ONE,
     number=measurement.c.number,
 )
@@ -203,9 +202,6 @@ def _drop_some(
     ).all()
     if not names:
         return 0
-    if part is _ROWS:
-        names_of_details = (measurement_detail.c.epoch_us, measurement_detail.c.source_key)
-        delete_named(connection, key, measurement_detail, names_of_details, names)
     delete_named(connection, key, part.table, part.key, names)
     rows = sum(int(name.stands_for) for name in names)
     _count(connection, key, series, stop_us, rows)
@@ -216,13 +212,8 @@ def delete_named(
     connection: Connection, key: int, table: Table, columns: tuple[ColumnElement[Any], ...], names: Any
 ) -> None:
     """Delete the rows of a spacecraft whose columns hold one of some names; of longer names the begin counts."""
-    width = len(columns)
-    # SQLite before 3.32 binds 999 values at most
-    chunk = 900 // width
-    for start in range(0, len(names), chunk):
-        wanted = [tuple(name)[:width] for name in names[start : start + chunk]]
-        is_one = tuple_(*columns).in_(wanted)
-        connection.execute(delete(table).where(table.c.spacecraft_key == key, is_one))
+    wanted = [tuple(name)[: len(columns)] for name in names]
+    connection.execute(delete(table).where(table.c.spacecraft_key == key, tuple_(*columns).in_(wanted)))
 
 
 def _count(connection: Connection, key: int, series: str, stop_us: int, rows: int) -> None:

@@ -1,14 +1,13 @@
 """Sealing closed days of measurements, a source under a plan at a time (db.sealing)."""
 
 from collections.abc import Iterator, Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Connection, and_, func, select
+from sqlalchemy import Connection, func, select
 
 from db.database import Database
-from db.encoding.row_mapping import MEASUREMENT_COLUMNS, RECEIVED_AT_US, measurements_of
+from db.encoding.measurement_rows import measurement_of
 from db.encoding.segments import (
     DAY_US,
     MeasuredColumns,
@@ -18,10 +17,8 @@ from db.encoding.segments import (
     measured_arrays,
     read_chunk,
 )
-from db.measurements.checksum_check import checksums_of_rows
-from db.schema.columns import agrees
-from db.schema.tables import measurement, measurement_detail, source
-from db.sealing import Change, Position, position_of, seal_day
+from db.schema.tables import measurement, source
+from db.sealing import Change, Position, seal_day, sound_and_damaged
 from db.summaries import Bins, bins_of
 from service.records.levels.measurement import DETAIL_NAMES, Measurement
 from service.records.storage import SealedPart
@@ -36,30 +33,12 @@ class MeasurementRows:
         self, connection: Connection, of: RowSeries, start_us: int, stop_us: int, limit: int
     ) -> tuple[list[Measurement], list[Position]]:
         """Return the first rows of a span of the table, by epoch, and the places of those that are damaged."""
-        is_its_detail = and_(
-            measurement_detail.c.spacecraft_key == measurement.c.spacecraft_key,
-            measurement_detail.c.epoch_us == measurement.c.epoch_us,
-            measurement_detail.c.source_key == measurement.c.source_key,
-        )
-        is_its_source = and_(
-            source.c.spacecraft_key == measurement.c.spacecraft_key, source.c.source_key == measurement.c.source_key
-        )
-        query = (
-            select(*MEASUREMENT_COLUMNS, measurement.c.checksum)
-            .select_from(measurement)
-            .join(source, is_its_source)
-            .outerjoin(measurement_detail, is_its_detail)
-            .where(*of.of_rows(), measurement.c.epoch_us >= start_us, measurement.c.epoch_us < stop_us)
-            .order_by(measurement.c.epoch_us)
-            .limit(limit)
-        )
-        rows: list[Any] = list(connection.execute(query))
-        is_sound = [
-            row.checksum is None or agrees(row.checksum, partial(checksums_of_rows, of.key, [row])) for row in rows
-        ]
-        sound = [row for row, is_good in zip(rows, is_sound, strict=True) if is_good]
-        damaged = [position_of(row) for row, is_good in zip(rows, is_sound, strict=True) if not is_good]
-        return measurements_of(sound), damaged
+        epoch_us = measurement.c.epoch_us
+        query = select(measurement).where(*of.of_rows(), epoch_us >= start_us, epoch_us < stop_us)
+        rows = connection.execute(query.order_by(epoch_us).limit(limit)).all()
+        sound, damaged = sound_and_damaged(measurement, rows)
+        # a segment states its source once
+        return [measurement_of(row, "") for row in sound], damaged
 
     def sealed(self, connection: Connection, head: SegmentHead) -> list[Measurement]:
         """Return the rows of a segment; StorageError ``storage.corrupt``."""
@@ -98,7 +77,7 @@ def _series(database: Database, key: int, before_us: int, received_before_us: in
             day = day_of(first_us)
             start_us = (day + 1) * DAY_US
             found = connection.execute(
-                select(column.source_key, column.plan_id, func.max(RECEIVED_AT_US))
+                select(column.source_key, column.plan_id, func.max(column.epoch_us + column.delay_us))
                 .where(column.spacecraft_key == key, column.epoch_us >= day * DAY_US, column.epoch_us < start_us)
                 .group_by(column.source_key, column.plan_id)
                 .order_by(column.source_key, column.plan_id)

@@ -8,7 +8,7 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, Row, Select, delete, func, or_, select, true, update
 from sqlalchemy.dialects import postgresql, sqlite
 
-from db.database import Repository, lock_head, page_of, within
+from db.database import Repository, lock_head, page_of
 from db.encoding.record_codec import decode, encode
 from db.measurements.retention import LOGS_AT_ONCE
 from db.schema.columns import sound_rows
@@ -16,8 +16,8 @@ from db.schema.tables import alarm as alarm_table
 from db.schema.tables import alarm_change, alarm_limits, alarm_memory
 from db.schema.tables import note as note_table
 from service.errors import NotFoundError
+from service.ports.archive import ListPart
 from service.ports.storage import ARCHIVE
-from service.records.calibration import Window
 from service.records.operations.alarms import Alarm, AlarmChange, AlarmLimits, EngineMemory, Note
 
 #: states that stand for several
@@ -55,27 +55,14 @@ class SqlAlarms(Repository):
         rows = self._database.fetch(query.order_by(alarm_table.c.alarm_id))
         return tuple(_with_id(decode(Alarm, row.document), row.alarm_id) for row in rows)
 
-    def alarms(
-        self,
-        spacecraft_id: str,
-        states: Sequence[str],
-        window: Window,
-        limit: int,
-        after: tuple[int, int] | None,
-        *,
-        newest_first: bool = False,
-    ) -> list[Alarm]:
+    def alarms(self, spacecraft_id: str, states: Sequence[str], part: ListPart) -> list[Alarm]:
         """Return alarms of a spacecraft and of the service raised in a window, in order of (raised, id)."""
         raised = alarm_table.c.raised_at_us
-        query = select(alarm_table).where(
-            _concerns(alarm_table.c.spacecraft_id, spacecraft_id),
-            raised >= window.start_us,
-            raised < window.stop_us,
-        )
+        query = select(alarm_table).where(_concerns(alarm_table.c.spacecraft_id, spacecraft_id))
         if states:
             wanted = [name for state in states for name in _GROUPS.get(state, (state,))]
             query = query.where(alarm_table.c.state.in_(wanted))
-        page = page_of(query, raised, alarm_table.c.alarm_id, limit, after, newest_first=newest_first)
+        page = page_of(query, raised, alarm_table.c.alarm_id, part)
         rows = self._database.fetch(page)
         return [_with_id(decode(Alarm, row.document), row.alarm_id) for row in rows]
 
@@ -247,19 +234,11 @@ class SqlNotes(Repository):
             raise _no_note(note_id)
         return notes[0]
 
-    def notes(
-        self,
-        window: Window,
-        limit: int,
-        after: tuple[int, int] | None,
-        spacecraft_id: str | None = None,
-        *,
-        newest_first: bool = False,
-    ) -> list[Note]:
+    def notes(self, part: ListPart, spacecraft_id: str | None = None) -> list[Note]:
         """Return notes about instants of a window in order of (epoch, id), also those about no spacecraft."""
         column = note_table.c
-        query = select(note_table).where(within(column.epoch_us, window), _about(spacecraft_id))
-        page = page_of(query, column.epoch_us, column.note_id, limit, after, newest_first=newest_first)
+        query = select(note_table).where(_about(spacecraft_id))
+        page = page_of(query, column.epoch_us, column.note_id, part)
         return _notes_of(self._database.fetch(page))
 
     def drop_before(self, spacecraft_id: str | None, before_us: int) -> Iterator[int]:

@@ -10,7 +10,7 @@ from sqlalchemy.exc import IntegrityError
 from db.database import EpochSpan, Repository, add_entries, count_entries, lock_head, next_id
 from db.documents import damaged_documents, with_digest
 from db.encoding.record_codec import decode, decode_all, encode, encode_all
-from db.measurements.journal_heads import HEAD_COLUMNS
+from db.measurements.journal_heads import HEAD_COLUMNS, SOURCE_COLUMNS, source_state
 from db.schema.tables import (
     alignment,
     calibration,
@@ -29,22 +29,10 @@ from service.errors import ConflictError, NotFoundError
 from service.records.calibration import CalibrationState
 from service.records.catalogue import Carrier, CarrierPlan, Ephemeris, Spacecraft
 from service.records.inputs import EphemerisChange, PlanChange, SpacecraftChange
-from service.records.levels.measurement import HeadState, SourceState, Whereabouts
+from service.records.levels.measurement import HeadState, Whereabouts
 
 #: in place of the digest of a withdrawn plan: its content is not found again, rows of it stay readable
 _WITHDRAWN = "withdrawn"
-
-
-#: in the order of `SourceState`
-_SOURCE_COLUMNS = (
-    source.c.name,
-    source.c.is_prime,
-    source.c.newest_epoch_us,
-    source.c.row_count,
-    source.c.rows_missing,
-    source.c.station,
-    source.c.key_id,
-)
 
 
 class SqlCatalogue(Repository):
@@ -73,12 +61,8 @@ class SqlCatalogue(Repository):
         if not rows:
             raise _no_spacecraft(spacecraft_id)
         row = rows[0]
-        sources = (each[-len(_SOURCE_COLUMNS) :] for each in rows)
-        states = tuple(
-            SourceState(name, "prime" if is_prime else "backup", *figures)
-            for name, is_prime, *figures in sources
-            if name is not None
-        )
+        sources = (each[-len(SOURCE_COLUMNS) :] for each in rows)
+        states = tuple(source_state(each) for each in sources if each[0] is not None)
         newest = (row.input_number, row.alignment_id, row.calibration_id, row.kept_from_us)
         links = (row.links, row.reported_us, row.resets, row.enabled)
         return Whereabouts(HeadState(*row[: len(HEAD_COLUMNS)]), states, row.digest, *newest, links)
@@ -158,7 +142,7 @@ def _whereabouts(spacecraft_id: str) -> Select[Any]:
     ).where(own.spacecraft_id == spacecraft_id)
     links = reports.subquery()
     numbers = (query.scalar_subquery().label(name) for name, query in newest.items())
-    columns = (*HEAD_COLUMNS, spacecraft_table.c.digest, *numbers, *links.c, *_SOURCE_COLUMNS)
+    columns = (*HEAD_COLUMNS, spacecraft_table.c.digest, *numbers, *links.c, *SOURCE_COLUMNS)
     joined = spacecraft_table.join(head).join(links, true()).outerjoin(source, source.c.spacecraft_key == key)
     query = select(*columns).select_from(joined).where(spacecraft_table.c.id == spacecraft_id)
     return query.order_by(source.c.source_key)

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from sqlalchemy import ColumnElement, Connection, Row, Select, and_, delete, func, select, update
 
-from db.database import Repository, lock_head, page_of, within
+from db.database import Repository, lock_head, page_of
 from db.encoding.record_codec import decode, encode
 from db.schema.columns import sound_rows
 from db.schema.tables import link as link_table
 from db.schema.tables import trace as trace_table
 from service.errors import ConflictError, NotFoundError
-from service.records.calibration import Window
+from service.ports.archive import ListPart
 from service.records.epoch import US_PER_S, format_epoch
 from service.records.levels.attitude import FloatArray
 from service.records.levels.sweep import KeptTrace, Ring, Trace, TraceHead, TraceReceipt, TraceSettings
@@ -126,7 +126,7 @@ def _no_link(link_id: str) -> NotFoundError:
     return NotFoundError("link.unknown", f"No link {link_id!r} has reported.")
 
 
-#: values in one query; SQLite before 3.32 binds 999 at most
+#: values in one query
 _CHUNK = 500
 #: the fastest level: the others gain a hundredth of the size
 _PACK_LEVEL = 1
@@ -147,21 +147,12 @@ class SqlTraces(Repository):
         return self._database.write(lambda connection: _store_traces(connection, key, source, offered, ring))
 
     def heads(
-        self,
-        spacecraft_id: str,
-        window: Window,
-        limit: int,
-        after: tuple[int, int] | None,
-        source: str | None = None,
-        sweep: str | None = None,
-        *,
-        newest_first: bool = False,
+        self, spacecraft_id: str, part: ListPart, source: str | None = None, sweep: str | None = None
     ) -> list[TraceHead]:
         """Return kept traces without their points in order of (epoch, number) beyond a cursor."""
         column = trace_table.c
         query = _chosen(select(*_HEAD), self._database.key(spacecraft_id), source, sweep)
-        inside = query.where(within(column.epoch_us, window))
-        page = page_of(inside, column.epoch_us, column.trace_id, limit, after, newest_first=newest_first)
+        page = page_of(query, column.epoch_us, column.trace_id, part)
         return [_head_of(row) for row in self._database.fetch(page)]
 
     def trace(

@@ -2,13 +2,13 @@
 
 from sqlalchemy import ColumnElement, Connection, and_, select, update
 
-from db.database import Repository, lock_head, page_of, within
+from db.database import Repository, lock_head, page_of
 from db.encoding.record_codec import decode, encode
 from db.measurements.archive import store_inputs
 from db.schema.columns import sound_rows
 from db.schema.tables import release_command, release_state, uplink_product
 from service.errors import ConflictError, NotFoundError
-from service.records.calibration import Window
+from service.ports.archive import ListPart
 from service.records.operations.release import Command, ProductForm, ReleaseChange, StoredRelease, UplinkProduct
 
 
@@ -47,21 +47,13 @@ class SqlReleases(Repository):
             raise NotFoundError("command.unknown", f"There is no command {counter} of this spacecraft.")
         return decode(Command, row.document)
 
-    def commands(
-        self,
-        spacecraft_id: str,
-        window: Window,
-        limit: int,
-        after: tuple[int, int] | None,
-        *,
-        newest_first: bool = False,
-    ) -> list[Command]:
+    def commands(self, spacecraft_id: str, part: ListPart) -> list[Command]:
         """Return commands prepared in a window in order of (prepared, counter) beyond a cursor."""
         prepared, counter = release_command.c.prepared_us, release_command.c.counter
         query = select(release_command.c.document).where(
-            release_command.c.spacecraft_key == self._database.key(spacecraft_id), within(prepared, window)
+            release_command.c.spacecraft_key == self._database.key(spacecraft_id)
         )
-        rows = self._database.fetch(page_of(query, prepared, counter, limit, after, newest_first=newest_first))
+        rows = self._database.fetch(page_of(query, prepared, counter, part))
         return [decode(Command, row.document) for row in rows]
 
     def product(self, spacecraft_id: str, form: ProductForm, counter: int) -> UplinkProduct:

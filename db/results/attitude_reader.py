@@ -11,17 +11,17 @@ from typing import NamedTuple
 
 from sqlalchemy import Connection, and_, func, select
 
+from db.database import ALL_ROWS, newest_rows
 from db.encoding.measurement_runs import ChunkRun
 from db.encoding.record_codec import decode
-from db.encoding.row_mapping import attitude_of
+from db.encoding.result_rows import attitude_of
 from db.encoding.segments import RowSeries, SegmentCache
 from db.measurements.measurement_pages import EVER, LIGHT, Chosen, MeasurementPages
 from db.measurements.retention import kept_from_us
-from db.newest_rows import RowPages, newest_rows
-from db.results.stored_rows import newest_row, page_of_rows, stored_rows
+from db.results.stored_rows import newest_row, stored_rows
 from db.schema.columns import sound_rows
 from db.schema.tables import attitude, calibration, head, journal, retention_mark
-from service.ports.archive import LIVE
+from service.ports.archive import LIVE, ListPart
 from service.records.calibration import CalibrationMethod, Window
 from service.records.catalogue import Method
 from service.records.inputs import CalibrationActivation
@@ -67,21 +67,17 @@ class AttitudeReader:
         self._stored = RowSeries(key, attitude, LIVE, method.value)
         self._measured_from_us = kept_from_us(connection, key, "measurements")
 
-    def rows(
-        self, window: Window, limit: int, after: tuple[int, int] | None, *, newest_first: bool = False
-    ) -> list[AttitudeRow]:
-        """Return rows in order of (epoch, number) beyond a cursor, or the newest first and before it."""
-        begin_us = kept_from_us(self._connection, self._key, "attitude")
+    def rows(self, part: ListPart) -> list[AttitudeRow]:
+        """Return the rows of a part of the list."""
+        start_us = max(part.window.start_us, kept_from_us(self._connection, self._key, "attitude"))
         # of measurements that retention took away the attitude alone is left
-        left = Window(max(window.start_us, begin_us), min(window.stop_us, self._measured_from_us))
-        rest = Window(max(window.start_us, begin_us, self._measured_from_us), window.stop_us)
-        parts: list[tuple[Window, RowPages[AttitudeRow]]] = [(left, self._left), (rest, self._measured)]
-        if newest_first:
-            parts = [(rest, self._newest_measured), (left, self._newest_left)]
+        left = Window(start_us, min(part.window.stop_us, self._measured_from_us))
+        rest = Window(max(start_us, self._measured_from_us), part.window.stop_us)
+        pieces = [(left, self._left), (rest, self._measured)]
         found: list[AttitudeRow] = []
-        for part, read in parts:
-            if len(found) < limit and part.start_us < part.stop_us:
-                found += read(part, limit - len(found), after)
+        for window, read in pieces[::-1] if part.newest_first else pieces:
+            if len(found) < part.limit and window.start_us < window.stop_us:
+                found += read(part._replace(window=window, limit=part.limit - len(found)))
         return found
 
     def newest(self) -> AttitudeRow | None:
@@ -93,22 +89,17 @@ class AttitudeReader:
         row = newest_row(self._connection, self._stored, self._measured_from_us)
         return None if row is None else attitude_of(row)
 
-    def _left(self, window: Window, limit: int, after: tuple[int, int] | None) -> list[AttitudeRow]:
-        return [attitude_of(row) for row in stored_rows(self._connection, self._stored, window, limit, after)]
+    def _left(self, part: ListPart) -> list[AttitudeRow]:
+        return [attitude_of(row) for row in stored_rows(self._connection, self._stored, part)]
 
-    def _newest_left(self, window: Window, limit: int, before: tuple[int, int] | None) -> list[AttitudeRow]:
-        rows = page_of_rows(self._connection, self._stored, window, limit, before, newest_first=True)
-        return [attitude_of(row) for row in rows]
-
-    def _measured(self, window: Window, limit: int, after: tuple[int, int] | None) -> list[AttitudeRow]:
-        runs = self._pages.read(self._consumed(window), limit, after, columns=LIGHT)
+    def _measured(self, part: ListPart) -> list[AttitudeRow]:
+        if part.newest_first:
+            return newest_rows(self._measured, self._start_of_newest, part)
+        runs = self._pages.read(self._consumed(part.window), part.limit, part.after, columns=LIGHT)
         return self._records([measurement for run in runs for measurement in _of_run(run)])
 
-    def _newest_measured(self, window: Window, limit: int, before: tuple[int, int] | None) -> list[AttitudeRow]:
-        def start_of(part: Window, count: int) -> int:
-            return self._pages.start_of_newest(self._consumed(part), count)
-
-        return newest_rows(self._measured, start_of, window, limit, before)
+    def _start_of_newest(self, window: Window, count: int) -> int:
+        return self._pages.start_of_newest(self._consumed(window), count)
 
     def _consumed(self, window: Window) -> Chosen:
         """Return the selection of the measurements that the chain has consumed."""
@@ -119,7 +110,10 @@ class AttitudeReader:
         if not measurements:
             return []
         window = Window(measurements[0].epoch_us, measurements[-1].epoch_us + 1)
-        stored = {(row.epoch_us, row.number): row for row in stored_rows(self._connection, self._stored, window)}
+        stored = {
+            (row.epoch_us, row.number): row
+            for row in stored_rows(self._connection, self._stored, ListPart(window, ALL_ROWS))
+        }
         positions = [(measurement.epoch_us, measurement.number) for measurement in measurements]
         if all(position in stored for position in positions):
             return [attitude_of(stored[position]) for position in positions]

@@ -5,8 +5,7 @@ that it leads, in order of priority; the row says whose they are, so that no two
 """
 
 from collections.abc import Iterator
-from dataclasses import asdict
-from functools import partial
+from dataclasses import asdict, fields
 from itertools import pairwise
 from typing import Any
 
@@ -14,12 +13,13 @@ from sqlalchemy import ColumnElement, Connection, Row, and_, delete, false, func
 from sqlalchemy.exc import IntegrityError
 
 from db.database import Database, Repository
-from db.schema.columns import agrees, checksum_of
+from db.schema.columns import agrees
 from db.schema.tables import calibration as calibration_table
 from db.schema.tables import checkpoint as checkpoint_table
 from db.schema.tables import job as job_table
 from db.schema.tables import live_member, spacecraft
 from service.errors import BusyError, ConflictError, NotFoundError
+from service.ports.archive import LIVE
 from service.records.calibration import CalibrationState
 from service.records.operations.work import PRIORITIES, STANDING_KINDS, Job, JobKind, JobState
 from service.records.storage import Checkpoint
@@ -161,16 +161,8 @@ def _fail_draft(connection: Connection, spacecraft_id: str, calibration_id: int,
 
 
 def _job_of(row: Row[Any]) -> Job:
-    return Job(
-        row.job_id,
-        row.kind,
-        JobState(row.state),
-        row.progress,
-        row.created_at_us,
-        row.error,
-        row.spacecraft_id,
-        row.subject,
-    )
+    job_id, kind, state, *rest = tuple(row)[: len(fields(Job))]
+    return Job(job_id, kind, JobState(state), *rest)
 
 
 def _no_job(job_id: str) -> NotFoundError:
@@ -182,13 +174,13 @@ LATEST = 4
 _DAY_US = 86_400_000_000
 
 
-def store_checkpoint(connection: Connection, key: int, made: Checkpoint) -> None:
+def store_checkpoint(connection: Connection, key: int, version: str, made: Checkpoint) -> None:
     """Store a checkpoint in the transaction of the results before it, and drop those that it makes needless."""
     table = checkpoint_table
-    is_own = table.c.spacecraft_key == key
+    is_own = and_(table.c.spacecraft_key == key, table.c.version == version)
     rows = connection.execute(select(table.c.number, table.c.epoch_us).where(is_own).order_by(table.c.number)).all()
     # a chain that was brought back may pass the same entry again
-    needless = [row.number for row in rows if row.number >= made.number]
+    needless = [row.number for row in rows if row.number >= made.number or version != LIVE]
     older = [(row.number, row.epoch_us) for row in rows if row.number < made.number]
     # an older one counts only as the last of its day
     needless += [
@@ -198,28 +190,21 @@ def store_checkpoint(connection: Connection, key: int, made: Checkpoint) -> None
     ]
     if needless:
         connection.execute(delete(table).where(is_own, table.c.number.in_(needless)))
-    values = {
-        "spacecraft_key": key,
-        "number": made.number,
-        "epoch_us": made.epoch_us,
-        "fingerprint": made.fingerprint,
-        "content": made.content,
-    }
-    connection.execute(table.insert().values(values))
+    connection.execute(table.insert().values(spacecraft_key=key, version=version, **asdict(made)))
 
 
 def checkpoints(
-    database: Database, key: int, fingerprint: str, until_number: int, before_us: int | None
+    database: Database, key: int, version: str, fingerprint: str, until_number: int, before_us: int | None = None
 ) -> Iterator[Checkpoint]:
-    """Yield the checkpoints of a fingerprint up to a journal number, newest first; damaged ones are left out."""
+    """Yield the checkpoints of a version up to a journal number, newest first; damaged ones are left out."""
     table, number = checkpoint_table, until_number + 1
     is_before = true() if before_us is None else table.c.epoch_us < before_us
     while True:
-        is_fit = (table.c.spacecraft_key == key, table.c.fingerprint == fingerprint, table.c.number < number, is_before)
-        row = database.fetch_one(select(table).where(*is_fit).order_by(table.c.number.desc()).limit(1))
+        is_own = (table.c.spacecraft_key == key, table.c.version == version)
+        is_fit = (table.c.fingerprint == fingerprint, table.c.number < number, is_before)
+        row = database.fetch_one(select(table).where(*is_own, *is_fit).order_by(table.c.number.desc()).limit(1))
         if row is None:
             return
         number = row.number
-        values: Any = row._mapping  # noqa: SLF001 - SQLAlchemy's public name
-        if agrees(row.checksum, partial(checksum_of, table, values)):
+        if agrees(table, row):
             yield Checkpoint(row.number, row.epoch_us, row.fingerprint, row.content)

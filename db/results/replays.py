@@ -5,7 +5,7 @@ again. Its rows go afterwards, in short transactions.
 """
 
 from collections.abc import Iterator
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -13,12 +13,12 @@ from sqlalchemy import ColumnElement, Connection, Row, Select, and_, delete, not
 
 from db.database import Database, Repository, lock_head, next_id
 from db.encoding.record_codec import decode, encode
+from db.measurements.measurement_pages import MAX_NUMBER
 from db.measurements.retention import ATTITUDE_BYTES, PARTS, TORQUE_BYTES, delete_named
-from db.results.jobs import insert_job
-from db.schema.columns import agrees, checksum_of
+from db.results.jobs import checkpoints, insert_job, store_checkpoint
+from db.schema.tables import checkpoint
 from db.schema.tables import job as job_table
 from db.schema.tables import replay as replay_table
-from db.schema.tables import replay_checkpoint
 from service.errors import ConflictError, NotFoundError
 from service.records.calibration import Window
 from service.records.operations.work import Job, JobState, Replay, ReplayVersion
@@ -76,15 +76,8 @@ class SqlReplays(Repository):
 
     def replay_checkpoint(self, spacecraft_id: str, version: str, fingerprint: str) -> Checkpoint | None:
         """Return the state from which a replay goes on; None when there is none that fits and is sound."""
-        is_it = _is_state(self._database.key(spacecraft_id), number_of(version) or 0)
-        table = replay_checkpoint
-        row = self._database.fetch_one(select(table).where(is_it, table.c.fingerprint == fingerprint))
-        if row is None:
-            return None
-        values: Any = row._mapping  # noqa: SLF001 - SQLAlchemy's public name
-        if not agrees(row.checksum, partial(checksum_of, table, values)):
-            return None
-        return Checkpoint(row.number, row.epoch_us, row.fingerprint, row.content)
+        key = self._database.key(spacecraft_id)
+        return next(checkpoints(self._database, key, version, fingerprint, MAX_NUMBER), None)
 
     def delete_replay(self, spacecraft_id: str, version: str) -> None:
         """Mark a replay as deleted; a job that still writes it ends at its next rows."""
@@ -96,7 +89,8 @@ class SqlReplays(Repository):
             marked = connection.execute(update(replay_table).where(is_it, _IS_HELD).values(is_deleted=True))
             if marked.rowcount == 0:
                 raise _no_replay(spacecraft_id, version)
-            connection.execute(delete(replay_checkpoint).where(_is_state(key, number or 0)))
+            is_state = (checkpoint.c.spacecraft_key == key, checkpoint.c.version == version)
+            connection.execute(delete(checkpoint).where(*is_state))
             job_id = select(replay_table.c.job_id).where(is_it).scalar_subquery()
             is_open = job_table.c.state.not_in([state.value for state in _FINISHED])
             ended = {"state": JobState.FAILED.value, "error": f"{version} was deleted."}
@@ -133,9 +127,7 @@ def note_rows(
     }
     connection.execute(update(replay_table).where(is_it).values(counts))
     if made is not None:
-        connection.execute(delete(replay_checkpoint).where(_is_state(key, number)))
-        values = {"spacecraft_key": key, "replay_id": number, **asdict(made)}
-        connection.execute(replay_checkpoint.insert().values(values))
+        store_checkpoint(connection, key, version, made)
 
 
 def check_held(connection: Connection, key: int, version: str) -> None:
@@ -144,10 +136,6 @@ def check_held(connection: Connection, key: int, version: str) -> None:
     is_deleted = select(replay_table.c.is_deleted)
     if number is not None and connection.scalar(is_deleted.where(_is_replay(key, number))):
         raise NotFoundError("replay.unknown", f"{version} was deleted.")
-
-
-def _is_state(key: int, number: int) -> ColumnElement[bool]:
-    return and_(replay_checkpoint.c.spacecraft_key == key, replay_checkpoint.c.replay_id == number)
 
 
 _IS_HELD = not_(replay_table.c.is_deleted)

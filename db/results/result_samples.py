@@ -4,17 +4,16 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from sqlalchemy import Connection, func, select
+from sqlalchemy import Connection, select
 
 from db.database import Database
-from db.encoding.measurement_runs import unpack_carriers
-from db.encoding.row_mapping import attitude_of, torque_of
-from db.encoding.segments import DAY_US, RowSeries, SegmentHead, day_of, heads
+from db.encoding.result_rows import attitude_of, torque_of, unpack_carriers
+from db.encoding.segments import RowSeries, SegmentHead, heads
 from db.measurements.retention import kept_from_us
 from db.results.replays import check_held
 from db.results.stored_rows import read_results, unsealed_rows
 from db.schema.tables import attitude, summary
-from db.summaries import READ_AT_ONCE, bins_within
+from db.summaries import bins_within, next_row_us, seasons
 from service.core.rows import Summaries
 from service.ports.archive import LIVE, Intervals, SampledCarriers
 from service.records.calibration import Window
@@ -23,8 +22,6 @@ from service.records.levels.attitude import STEP_DB, AttitudeRow, FloatArray, In
 #: quantities of the summaries; those of the carriers have a name for each plan
 ATTITUDE, IMPULSE = "attitude", "impulse"
 _CARRIERS = "carriers "
-#: days that one read transaction looks at
-_SLICE_US = 128 * DAY_US
 
 
 class Figures(NamedTuple):
@@ -127,32 +124,16 @@ def _of_carriers(rows: Iterable[Any]) -> Iterator[SampledCarriers]:
 
 
 def _seasons(database: Database, of: RowSeries, window: Window) -> Iterator[tuple[Connection, Window]]:
-    """Yield parts of a window that hold rows, whole days but for its ends, each with a read transaction.
+    """Yield parts of a window that hold rows of a version."""
 
-    A row is sealed or not within one transaction, and never leaves its day: each is counted once.
-    """
-    epoch_us: int | None = window.start_us
-    while epoch_us is not None and epoch_us < window.stop_us:
-        with database.read() as connection:
-            check_held(connection, of.key, of.version)
-            if of.version == LIVE and of.table is attitude:
-                # rows below the mark are on their way out
-                epoch_us = max(epoch_us, kept_from_us(connection, of.key, "attitude"))
-            epoch_us = _next_us(connection, of, epoch_us)
-            if epoch_us is None or epoch_us >= window.stop_us:
-                return
-            stop_us = min(window.stop_us, day_of(epoch_us) * DAY_US + _SLICE_US)
-            yield connection, Window(epoch_us, stop_us)
-        epoch_us = stop_us
+    def next_us(connection: Connection, epoch_us: int) -> int | None:
+        check_held(connection, of.key, of.version)
+        if of.version == LIVE and of.table is attitude:
+            # rows below the mark are on their way out
+            epoch_us = max(epoch_us, kept_from_us(connection, of.key, "attitude"))
+        return next_row_us(connection, of.table.c.epoch_us, of.of_rows(), of.of_segments(), epoch_us)
 
-
-def _next_us(connection: Connection, of: RowSeries, epoch_us: int) -> int | None:
-    """Return an epoch up to which no row stands from the given one on; None where none follows."""
-    column = of.table.c.epoch_us
-    first_us = connection.scalar(select(func.min(column)).where(*of.of_rows(), column >= epoch_us))
-    head = next(heads(connection, of.of_segments(), epoch_us, 1 << 62), None)
-    found = [first_us, None if head is None else head.first_epoch_us]
-    return min((max(each, epoch_us) for each in found if each is not None), default=None)
+    return seasons(database, window, next_us)
 
 
 def _rows_of(
@@ -167,10 +148,9 @@ def _rows_of(
 def _plans_of(connection: Connection, ids: Sequence[int]) -> dict[int, set[int]]:
     """Return the plans that the carriers of segments have bins for, by id; segments without any bins are left out."""
     plans: dict[int, set[int]] = {}
-    for start in range(0, len(ids), READ_AT_ONCE):
-        is_one = summary.c.segment_id.in_(ids[start : start + READ_AT_ONCE])
-        for segment_id, quantity in connection.execute(select(summary.c.segment_id, summary.c.quantity).where(is_one)):
-            held = plans.setdefault(segment_id, set())
-            if quantity.startswith(_CARRIERS):
-                held.add(int(quantity.removeprefix(_CARRIERS)))
+    query = select(summary.c.segment_id, summary.c.quantity).where(summary.c.segment_id.in_(ids))
+    for segment_id, quantity in connection.execute(query):
+        held = plans.setdefault(segment_id, set())
+        if quantity.startswith(_CARRIERS):
+            held.add(int(quantity.removeprefix(_CARRIERS)))
     return plans

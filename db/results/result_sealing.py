@@ -1,22 +1,21 @@
 """Sealing closed days of results: attitude and torque rows, live and of replays (db.sealing)."""
 
 from collections.abc import Iterator, Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Connection, LargeBinary, Table, func, select, tuple_
+from sqlalchemy import Connection, LargeBinary, func, select, tuple_
 
 from db.database import Database
 from db.encoding.column_blob import arrow
-from db.encoding.row_mapping import attitude_of, torque_of
+from db.encoding.result_rows import attitude_of, torque_of
 from db.encoding.segments import DAY_US, RowSeries, SegmentHead, day_of
 from db.results.result_samples import ATTITUDE, IMPULSE, carrier_figures, carriers_name, figures
 from db.results.state_history import STATES, stretch_blob, stretch_of
 from db.results.stored_rows import HEAD_COLUMNS, TABLES, read_results
-from db.schema.columns import Figure, agrees, checksum_of
+from db.schema.columns import Figure
 from db.schema.tables import attitude
-from db.sealing import Position, position_of, seal_day
+from db.sealing import Position, seal_day, sound_and_damaged
 from db.summaries import Bins, bins_of
 from service.ports.archive import LIVE
 from service.records.storage import SealedResults
@@ -36,9 +35,7 @@ class ResultRows:
         if len(rows) == limit:
             is_rest = (table.c.epoch_us == rows[-1].epoch_us, table.c.number > rows[-1].number)
             rows += connection.execute(query.limit(None).where(*is_rest))
-        is_sound = [row.checksum is None or agrees(row.checksum, partial(_checksum, table, row)) for row in rows]
-        sound = [row for row, is_good in zip(rows, is_sound, strict=True) if is_good]
-        return sound, [position_of(row) for row, is_good in zip(rows, is_sound, strict=True) if not is_good]
+        return sound_and_damaged(table, rows)
 
     def sealed(self, connection: Connection, head: SegmentHead) -> list[Any]:
         """Return the rows of a segment; StorageError ``storage.corrupt``."""
@@ -114,7 +111,3 @@ def _days(database: Database, of: RowSeries, stop_us: int) -> Iterator[int]:
             return
         yield day_of(first_us)
         start_us = (day_of(first_us) + 1) * DAY_US
-
-
-def _checksum(table: Table, row: Any) -> bytes:
-    return checksum_of(table, row._asdict())

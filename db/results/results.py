@@ -10,12 +10,18 @@ from itertools import chain, zip_longest
 from typing import Any, NamedTuple
 
 import numpy as np
-from sqlalchemy import ColumnElement, Connection, Row, Table, and_, func, select, tuple_, update
+from sqlalchemy import ColumnElement, Connection, Row, and_, func, select, update
 
 from db.connection.writer import insert_new
-from db.database import Database, lock_head
-from db.encoding.measurement_runs import pack_carriers, unpack_carriers
-from db.encoding.row_mapping import attitude_of, attitude_values, torque_of, torque_values
+from db.database import ALL_ROWS, Database, lock_head, position_of
+from db.encoding.result_rows import (
+    attitude_of,
+    attitude_values,
+    pack_carriers,
+    torque_of,
+    torque_values,
+    unpack_carriers,
+)
 from db.encoding.segments import RowSeries
 from db.measurements.archive import store_inputs
 from db.results import result_sealing
@@ -30,22 +36,19 @@ from db.results.stored_rows import (
     newest_row,
     next_sealed_sequence,
     numbers_where,
-    page_of_rows,
-    sealed_keys,
     sealed_of_sequences,
+    stored_positions,
     stored_rows,
 )
 from db.schema.columns import sound_rows
 from db.schema.tables import attitude, head, torque
 from service.core.rows import History, Summaries
-from service.ports.archive import LIVE, SMOOTHED, Intervals, Outcome, SampledCarriers
+from service.ports.archive import LIVE, SMOOTHED, Cursor, Intervals, ListPart, Outcome, SampledCarriers
 from service.records.calibration import Alignment, Window
 from service.records.catalogue import LIVE_METHODS, Method
 from service.records.levels.attitude import AttitudeRow, CarrierResults, IntArray, TorqueCommand
 from service.records.storage import Checkpoint, SealedResults
 
-#: key tuples in one query; SQLite before 3.32 binds 999 values at most
-_LOOKUP_CHUNK = 250
 #: columns of an impulse
 _AXES = 3
 
@@ -70,12 +73,12 @@ def store_outcomes(
 ) -> int:
     """Store outcomes and return the last result sequence; runs in the writer's transaction."""
     state = lock_head(connection, key)
+    results = list(_results_of(outcomes))
     if version != LIVE:
-        fresh = _not_sealed(connection, key, version, list(_results_of(outcomes)))
+        fresh = _fresh(connection, key, version, results)
         inserted = _insert(connection, key, version, [(result, None) for result in fresh], _carriers(outcomes))
         note_rows(connection, key, version, *inserted, checkpoint)
         return int(state.result_sequence)
-    results = list(_results_of(outcomes))
     fresh = results if _are_new(results, state.consumed_number) else _fresh(connection, key, version, results)
     numbered = list(zip(fresh, range(state.result_sequence + 1, 1 << 62), strict=False))
     _insert(connection, key, version, numbered, _carriers(outcomes))
@@ -83,7 +86,7 @@ def store_outcomes(
     if applied:
         store_inputs(connection, key, applied)
     if checkpoint is not None:
-        store_checkpoint(connection, key, checkpoint)
+        store_checkpoint(connection, key, LIVE, checkpoint)
     sequence = int(state.result_sequence) + len(fresh)
     _advance(connection, key, state, consumed, sequence)
     return sequence
@@ -109,56 +112,23 @@ def _are_new(results: list[Result], consumed_number: int) -> bool:
 
 def _fresh(connection: Connection, key: int, version: str, results: list[Result]) -> list[Result]:
     """Return those results that are not stored yet, each once."""
-    rows = [_key_of(result) for result in results if isinstance(result, AttitudeRow)]
-    commands = [_key_of(result) for result in results if isinstance(result, TorqueCommand)]
-    columns = (attitude.c.method, attitude.c.epoch_us, attitude.c.number)
-    seen = set(_stored(connection, key, version, attitude, columns, rows))
-    seen |= set(_stored(connection, key, version, torque, (torque.c.epoch_us, torque.c.number), commands))
+    positions: dict[RowSeries, set[Cursor]] = {}
+    for result in results:
+        positions.setdefault(_series_of(key, version, result), set()).add(position_of(result))
+    stored = {of: stored_positions(connection, of, wanted) for of, wanted in positions.items()}
     fresh: list[Result] = []
     for result in results:
-        name = _key_of(result)
-        if name not in seen:
-            seen.add(name)
+        seen, position = stored[_series_of(key, version, result)], position_of(result)
+        if position not in seen:
+            seen.add(position)
             fresh.append(result)
-    return _not_sealed(connection, key, version, fresh)
+    return fresh
 
 
-def _not_sealed(connection: Connection, key: int, version: str, results: list[Result]) -> list[Result]:
-    """Return those results that no segment holds."""
-    wanted: dict[str | None, list[tuple[int, int]]] = {}
-    for result in results:
-        wanted.setdefault(_method_of(result), []).append((result.epoch_us, result.number))
-    sealed = {
-        method: sealed_keys(
-            connection, RowSeries(key, torque if method is None else attitude, version, method or ""), keys
-        )
-        for method, keys in wanted.items()
-    }
-    if not any(sealed.values()):
-        return results
-    return [result for result in results if (result.epoch_us, result.number) not in sealed[_method_of(result)]]
-
-
-def _method_of(result: Result) -> str | None:
-    return result.method.value if isinstance(result, AttitudeRow) else None
-
-
-def _stored(
-    connection: Connection,
-    key: int,
-    version: str,
-    table: Table,
-    columns: tuple[ColumnElement[Any], ...],
-    wanted: list[ResultKey],
-) -> Iterator[ResultKey]:
-    """Yield those of the wanted keys that a table holds."""
-    for start in range(0, len(wanted), _LOOKUP_CHUNK):
-        query = select(*columns).where(
-            table.c.spacecraft_key == key,
-            table.c.version == version,
-            tuple_(*columns).in_(wanted[start : start + _LOOKUP_CHUNK]),
-        )
-        yield from (tuple(row) for row in connection.execute(query))
+def _series_of(key: int, version: str, result: Result) -> RowSeries:
+    if isinstance(result, AttitudeRow):
+        return RowSeries(key, attitude, version, result.method.value)
+    return RowSeries(key, torque, version)
 
 
 def _carriers(outcomes: Sequence[Outcome]) -> dict[ResultKey, bytes | None]:
@@ -255,19 +225,10 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
         self, spacecraft_id: str, fingerprint: str, until_number: int, before_us: int | None = None
     ) -> Iterator[Checkpoint]:
         """Yield the sound checkpoints of a fingerprint up to a journal number, before an epoch, newest first."""
-        return checkpoints(self._database, self._database.key(spacecraft_id), fingerprint, until_number, before_us)
+        key = self._database.key(spacecraft_id)
+        return checkpoints(self._database, key, LIVE, fingerprint, until_number, before_us)
 
-    def attitude_rows(
-        self,
-        spacecraft_id: str,
-        version: str,
-        method: Method,
-        window: Window,
-        limit: int,
-        after: tuple[int, int] | None,
-        *,
-        newest_first: bool = False,
-    ) -> list[AttitudeRow]:
+    def attitude_rows(self, spacecraft_id: str, version: str, method: Method, part: ListPart) -> list[AttitudeRow]:
         """Return rows in order of (epoch, number of the measurement) beyond a cursor.
 
         The live version has exactly one row a consumed measurement: ``db.results.attitude_reader`` fills in rows that
@@ -277,9 +238,9 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
         with self._database.read() as connection:
             if version == LIVE:
                 reader = AttitudeReader(connection, self._database.segments, key, method)
-                return reader.rows(window, limit, after, newest_first=newest_first)
+                return reader.rows(part)
             of = RowSeries(key, attitude, version, method.value)
-            rows = page_of_rows(connection, of, window, limit, after, newest_first=newest_first)
+            rows = stored_rows(connection, of, part)
             check_held(connection, key, version)
         return [attitude_of(row) for row in rows]
 
@@ -289,7 +250,8 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
         """Return what a method made of the carriers at the rows of a window, by (epoch, number), where it is stored."""
         key = self._database.key(spacecraft_id)
         with self._database.read() as connection:
-            rows = stored_rows(connection, RowSeries(key, attitude, version, method.value), window)
+            of = RowSeries(key, attitude, version, method.value)
+            rows = stored_rows(connection, of, ListPart(window, ALL_ROWS))
             check_held(connection, key, version)
         return {(row.epoch_us, row.number): unpack_carriers(row.carriers) for row in rows if row.carriers is not None}
 
@@ -329,21 +291,12 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
             row = newest_row(connection, RowSeries(key, attitude, version, method.value))
         return None if row is None else attitude_of(row)
 
-    def commands(
-        self,
-        spacecraft_id: str,
-        version: str,
-        window: Window,
-        limit: int,
-        after: tuple[int, int] | None,
-        *,
-        newest_first: bool = False,
-    ) -> list[TorqueCommand]:
+    def commands(self, spacecraft_id: str, version: str, part: ListPart) -> list[TorqueCommand]:
         """Return computed commands in order of (epoch, number) beyond a cursor."""
         key = self._database.key(spacecraft_id)
         with self._database.read() as connection:
             of = RowSeries(key, torque, version)
-            rows = page_of_rows(connection, of, window, limit, after, newest_first=newest_first)
+            rows = stored_rows(connection, of, part)
             check_held(connection, key, version)
         return [torque_of(row) for row in rows]
 

@@ -4,9 +4,9 @@ Of each segment the runs are stored beside its bins. A day counts from them wher
 consumed has its row in a segment; the others are read as rows, the newest first, up to a bound.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import chain, groupby, starmap
-from typing import Any, Protocol
+from typing import Any
 
 from sqlalchemy import Connection, func, select
 
@@ -17,7 +17,7 @@ from db.measurements.retention import kept_from_us
 from db.schema.tables import attitude, measurement, segment
 from db.summaries import stored_blobs
 from service.core.rows import Gap, History, RowState, StateRun, Stretch, StretchSearch, joined_stretches
-from service.ports.archive import LIVE
+from service.ports.archive import LIVE, ListPart
 from service.records.calibration import Window
 from service.records.levels.attitude import AttitudeRow
 
@@ -30,16 +30,11 @@ _STATE_COLUMNS = ("kind", "name", "carrier", "start_us", "stop_us", "rows")
 MOST_ROWS = 25_000
 
 
-class EitherEnd(Protocol):
-    """Pages of attitude from either end of a window."""
-
-    def __call__(
-        self, window: Window, limit: int, after: tuple[int, int] | None, /, *, newest_first: bool = False
-    ) -> Sequence[AttitudeRow]:
-        """Return rows beyond a cursor."""
+#: reader of attitude
+Read = Callable[[ListPart], Sequence[AttitudeRow]]
 
 
-def state_history(database: Database, key: int, method: str, read: EitherEnd, window: Window) -> History:
+def state_history(database: Database, key: int, method: str, read: Read, window: Window) -> History:
     """Return runs and gaps of a window: of sealed days as stored, of others from their newest rows."""
     stretches: list[Stretch] = []
     parts: list[History] = []
@@ -111,9 +106,9 @@ def _whole_days(connection: Connection, of: RowSeries, days: dict[int, list[Segm
     ]
 
 
-def _newest_rows(read: EitherEnd, window: Window, most: int) -> tuple[Sequence[AttitudeRow], int]:
+def _newest_rows(read: Read, window: Window, most: int) -> tuple[Sequence[AttitudeRow], int]:
     """Return the newest rows of a window, whole epochs, and the epoch from which on they are all."""
-    rows = read(window, most + 1, None, newest_first=True)[::-1]
+    rows = read(ListPart(window, most + 1, newest_first=True))[::-1]
     if len(rows) <= most:
         return rows, window.start_us
     start_us = rows[0].epoch_us + 1

@@ -2,20 +2,19 @@
 
 import math
 from collections import namedtuple
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from functools import cache, partial
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Connection, Table, and_, func, select
+from sqlalchemy import Connection, Table, and_, func, select, tuple_
 
-from db.database import beyond, within
+from db.database import newest_rows, page_of, position_of, start_of_last, within
 from db.encoding.column_blob import ColumnBlob, Positions
 from db.encoding.segments import RowSeries, SegmentHead, heads, heads_where, opened
-from db.newest_rows import newest_rows, start_of_last
 from db.schema.columns import Figure, sound_rows
 from db.schema.tables import attitude, segment, torque
-from service.ports.archive import LIVE
+from service.ports.archive import LIVE, Cursor, ListPart
 from service.records.calibration import Window
 from service.records.catalogue import LIVE_METHODS
 from service.records.levels.attitude import BoolArray, IntArray
@@ -78,6 +77,8 @@ def read_results(connection: Connection, head: SegmentHead) -> ResultSegment:
     return opened(connection, head, partial(ResultSegment, head))
 
 
+#: positions in one query
+_LOOKUP = 250
 #: rows in memory at once as records
 _PAGE_ROWS = 5000
 
@@ -85,62 +86,35 @@ _PAGE_ROWS = 5000
 def unsealed_rows(connection: Connection, of: RowSeries, window: Window) -> Iterator[list[Any]]:
     """Yield the rows of the table of rows in a window, some at a time."""
     after: tuple[int, int] | None = None
-    while rows := _of_table(connection, of, window, _PAGE_ROWS, after):
+    while rows := _of_table(connection, of, ListPart(window, _PAGE_ROWS, after)):
         yield rows
-        after = _position(rows[-1])
+        after = position_of(rows[-1])
 
 
-def _of_table(
-    connection: Connection, of: RowSeries, window: Window, limit: int | None, after: tuple[int, int] | None
-) -> list[Any]:
-    """Return the first rows of the table of rows in a window beyond a cursor."""
+def _of_table(connection: Connection, of: RowSeries, part: ListPart) -> list[Any]:
+    """Return the rows of a part of the table of rows."""
     table = of.table
-    query = (
-        select(table)
-        .where(*of.of_rows(), within(table.c.epoch_us, window), beyond(table.c.epoch_us, table.c.number, after))
-        .order_by(table.c.epoch_us, table.c.number)
-        .limit(limit)
-    )
-    return list(sound_rows(table, connection.execute(query)))
+    query = page_of(select(table).where(*of.of_rows()), table.c.epoch_us, table.c.number, part)
+    return sound_rows(table, connection.execute(query))
 
 
-def stored_rows(
-    connection: Connection,
-    of: RowSeries,
-    window: Window,
-    limit: int | None = None,
-    after: tuple[int, int] | None = None,
-) -> list[Any]:
-    """Return the first rows of a window beyond a cursor, in order of (epoch, number)."""
-    rows = _of_table(connection, of, window, limit, after)
+def stored_rows(connection: Connection, of: RowSeries, part: ListPart) -> list[Any]:
+    """Return the rows of a part of a series, in order of (epoch, number)."""
+    if part.newest_first:
+        return newest_rows(partial(stored_rows, connection, of), partial(_start_of_newest, connection, of), part)
+    window, limit, after = part.window, part.limit, part.after
+    rows = _of_table(connection, of, part)
     sealed: list[Any] = []
     start_us = window.start_us if after is None else max(window.start_us, after[0])
     for head in heads(connection, of.of_segments(), start_us, window.stop_us):
         found = read_results(connection, head)
         is_inside = (found.epochs_us >= window.start_us) & (found.epochs_us < window.stop_us)
-        missing = None if limit is None else limit - len(sealed)
-        sealed += found.rows(np.flatnonzero(is_inside & found.after(after))[:missing])
-        if limit is not None and len(sealed) >= limit:
+        sealed += found.rows(np.flatnonzero(is_inside & found.after(after))[: limit - len(sealed)])
+        if len(sealed) >= limit:
             break
     if not sealed:
         return rows
-    return sorted(rows + sealed, key=_position)[:limit]
-
-
-def page_of_rows(
-    connection: Connection,
-    of: RowSeries,
-    window: Window,
-    limit: int,
-    after: tuple[int, int] | None,
-    *,
-    newest_first: bool = False,
-) -> list[Any]:
-    """Return the first rows of a window beyond a cursor, or the last ones below it, the newest first."""
-    if not newest_first:
-        return stored_rows(connection, of, window, limit, after)
-    read, start_of = partial(stored_rows, connection, of), partial(_start_of_newest, connection, of)
-    return newest_rows(read, start_of, window, limit, after)
+    return sorted(rows + sealed, key=position_of)[:limit]
 
 
 def _start_of_newest(connection: Connection, of: RowSeries, window: Window, count: int) -> int:
@@ -167,7 +141,7 @@ def newest_row(connection: Connection, of: RowSeries, before_us: int = 1 << 62) 
         return row
     found = read_results(connection, head)
     (sealed,) = found.rows(np.flatnonzero(found.epochs_us < before_us)[-1:])
-    return sealed if row is None else max(row, sealed, key=_position)
+    return sealed if row is None else max(row, sealed, key=position_of)
 
 
 def stored_numbers(connection: Connection, of: RowSeries, window: Window) -> IntArray:
@@ -188,17 +162,16 @@ def newest_sealed_us(connection: Connection, key: int) -> int:
     return max((head.last_epoch_us for head in newest if head is not None), default=-(1 << 62))
 
 
-def sealed_keys(connection: Connection, of: RowSeries, wanted: Iterable[tuple[int, int]]) -> set[tuple[int, int]]:
-    """Return those of the wanted (epoch, number) that are sealed."""
-    positions = set(wanted)
-    if not positions:
-        return set()
-    epochs_us = [epoch_us for epoch_us, _ in positions]
-    found: set[tuple[int, int]] = set()
-    for head in heads(connection, of.of_segments(), min(epochs_us), max(epochs_us) + 1):
+def stored_positions(connection: Connection, of: RowSeries, wanted: set[Cursor]) -> set[Cursor]:
+    """Return those of some (epoch, number), at least one, that are stored."""
+    names, ordered = (of.table.c.epoch_us, of.table.c.number), sorted(wanted)
+    found: set[Cursor] = set()
+    for start in range(0, len(ordered), _LOOKUP):
+        query = select(*names).where(*of.of_rows(), tuple_(*names).in_(ordered[start : start + _LOOKUP]))
+        found.update((row[0], row[1]) for row in connection.execute(query))
+    for head in heads(connection, of.of_segments(), ordered[0][0], ordered[-1][0] + 1):
         each = read_results(connection, head)
-        held = zip(each.epochs_us.tolist(), each.numbers.tolist(), strict=True)
-        found.update(positions.intersection(held))
+        found |= wanted.intersection(zip(each.epochs_us.tolist(), each.numbers.tolist(), strict=True))
     return found
 
 
@@ -233,7 +206,3 @@ def numbers_where(
         is_later: BoolArray = each.epochs_us > after_us
         values = each.values(name)
         yield each.numbers[is_later], [values[position] for position in np.flatnonzero(is_later).tolist()]
-
-
-def _position(row: Any) -> tuple[int, int]:
-    return row.epoch_us, row.number

@@ -4,9 +4,9 @@ import json
 import math
 import struct
 import zlib
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import MISSING
-from functools import cache, partial
+from functools import cache
 from typing import Any
 
 from sqlalchemy import (
@@ -120,37 +120,18 @@ def _column(field: RecordField, name: str) -> Column[Any]:
 CHECKSUM_BYTES = 4
 #: year 2255
 _EPOCH_END_US = 1 << 53
-_SHARED, _POSITION = struct.Struct("<7q"), struct.Struct("<4q")
+#: whole numbers of a measurement, and the sizes of its arrays
+_MEASUREMENT = struct.Struct("<12q")
 #: for what is absent
 _NONE = -1
 
 
-#: epoch, journal number, sequence number, delay, powers, flags, figures of details, as stored
-MeasurementParts = tuple[int, int, int | None, int, bytes, bytes | None, bytes | None]
-
-
-def measurement_checksums(shared: tuple[int, int, int, bool, bool], rows: Iterable[MeasurementParts]) -> bytes:
-    """Checksums of rows of ``measurement``, each together with its row of ``measurement_detail``, one after another.
-
-    Half a microsecond a row.
-
-    Parameters
-    ----------
-    shared : tuple
-        What all rows have in common: key of the spacecraft, of the source, plan, claims to be late and to feed.
-    rows : iterable
-        The rest; powers and flags of all rows are of one length.
-    """
-    crc32, pack, start = zlib.crc32, _POSITION.pack, 0
-    found: list[int] = []
-    for epoch_us, number, seq, delay_us, powers, flags, figures in rows:
-        if not found:
-            start = crc32(_SHARED.pack(*shared, len(powers), _NONE if flags is None else len(flags)))
-        crc = crc32(powers, crc32(pack(epoch_us, number, _NONE if seq is None else seq, delay_us), start))
-        if flags:
-            crc = crc32(flags, crc)
-        found.append(crc if figures is None else crc32(figures, crc))
-    return struct.pack(f"<{len(found)}I", *found)
+def measurement_checksum(row: Sequence[Any]) -> bytes:
+    """Checksum of a row of ``measurement``: of its columns in their order but this one; in a microsecond."""
+    *numbers, powers, flags, figures = row
+    sizes = [_NONE if part is None else len(part) for part in (powers, flags, figures)]
+    crc = zlib.crc32(powers, zlib.crc32(_MEASUREMENT.pack(*[_NONE if n is None else n for n in numbers], *sizes)))
+    return _bytes_of(zlib.crc32(figures or b"", zlib.crc32(flags or b"", crc)))
 
 
 def checksum_column() -> Column[bytes]:
@@ -177,12 +158,19 @@ def checksum_of(table: Any, values: Mapping[str, Any]) -> bytes:
     return _bytes_of(zlib.crc32(json.dumps(content).encode()))
 
 
-def agrees(stored: bytes, computed: Callable[[], bytes]) -> bool:
-    """Return whether a row has the checksum that is stored; values that no writer stores have none."""
+def agrees(table: Table, row: Row[Any]) -> bool:
+    """Return whether a row, all columns of its table, has its checksum; values that no writer stores have none."""
+    own = table.info.get("checksum")
     try:
-        return stored == computed()
+        computed = checksum_of(table, row._asdict()) if own is None else own(tuple(row)[:-1])
     except (ArithmeticError, AttributeError, TypeError, ValueError, struct.error):
         return False
+    return bool(row.checksum == computed)
+
+
+def is_sound(table: Table, row: Row[Any]) -> bool:
+    """Return whether a row agrees with its checksum, or has none: written by hand, which the doctor reports."""
+    return row.checksum is None or agrees(table, row)
 
 
 def row_name(table: Table, row: Row[Any]) -> str:
@@ -196,13 +184,10 @@ def row_name(table: Table, row: Row[Any]) -> str:
 
 
 def sound_rows(table: Table, rows: Iterable[Row[Any]]) -> list[Row[Any]]:
-    """Return rows of a table that agree with their checksums; StorageError ``storage.corrupt`` names one that does not.
-
-    A row without a checksum was written by hand, which the doctor reports.
-    """
+    """Return the rows of a table; StorageError ``storage.corrupt`` names one that is not sound."""
     found = list(rows)
     for row in found:
-        if row.checksum is not None and not agrees(row.checksum, partial(checksum_of, table, row._asdict())):
+        if not is_sound(table, row):
             detail = f"The {table.name} row of {row_name(table, row)} differs from its checksum."
             raise StorageError("storage.corrupt", detail)
     return found

@@ -12,7 +12,7 @@ from db.schema import tables  # noqa: F401 - they add their tables
 from db.schema.tables import metadata, spacecraft
 
 #: number of the layout that this program makes and reads
-LAYOUT = 7
+LAYOUT = 8
 
 #: one row; apart from the tables that a copy of an archive fills
 archive_layout = Table(

@@ -20,7 +20,16 @@ from sqlalchemy import (
     text,
 )
 
-from db.schema.columns import Figure, checksum_column, keys, needed, optional, record_columns, spacecraft_key
+from db.schema.columns import (
+    Figure,
+    checksum_column,
+    keys,
+    measurement_checksum,
+    needed,
+    optional,
+    record_columns,
+    spacecraft_key,
+)
 from service.records.levels.attitude import AttitudeRow, TorqueCommand
 
 metadata = MetaData()
@@ -115,23 +124,11 @@ measurement = Table(
     # from the epoch to the receipt, microseconds
     Column("delay_us", BigInteger, nullable=False),
     *needed(Boolean, "is_late", "feeds"),
-    # both as db.encoding.power_codec lays them out
+    # see db.encoding.measurement_rows
     Column("powers", LargeBinary, nullable=False),
-    Column("flags", LargeBinary),
-    # of the row and of its details; see db.schema.columns
-    Column("checksum", LargeBinary),
+    *optional(LargeBinary, "flags", "figures", "checksum"),
     Index("measurement_number", "spacecraft_key", "number", unique=True),
-    sqlite_with_rowid=False,
-)
-
-#: what front ends state beside powers: a table of its own, so that rows without it cost not one byte
-measurement_detail = Table(
-    "measurement_detail",
-    metadata,
-    spacecraft_key(is_referencing=False),
-    Column("epoch_us", BigInteger, primary_key=True, autoincrement=False),
-    Column("source_key", Integer, primary_key=True, autoincrement=False),
-    Column("figures", LargeBinary, nullable=False),
+    info={"checksum": measurement_checksum},
     sqlite_with_rowid=False,
 )
 
@@ -272,10 +269,12 @@ complete_mark = Table(
     Column("number", BigInteger, nullable=False),
 )
 
+#: states from which a chain goes on: of the live version several, of a replay that may be interrupted one
 checkpoint = Table(
     "checkpoint",
     metadata,
     spacecraft_key(is_referencing=False),
+    *keys(Text, "version"),
     *keys(BigInteger, "number"),
     *needed(BigInteger, "epoch_us"),
     *needed(Text, "fingerprint"),
@@ -309,18 +308,6 @@ replay = Table(
     # what it wrote, whatever retention has taken since
     *optional(BigInteger, "attitude_rows", "torque_rows"),
     Column("is_deleted", Boolean),
-)
-
-#: state from which a replay that was interrupted goes on
-replay_checkpoint = Table(
-    "replay_checkpoint",
-    metadata,
-    spacecraft_key(is_referencing=False),
-    *keys(Integer, "replay_id"),
-    *needed(BigInteger, "number", "epoch_us"),
-    *needed(Text, "fingerprint"),
-    *needed(LargeBinary, "content"),
-    checksum_column(),
 )
 
 #: what front ends report of themselves, and what operators want of them

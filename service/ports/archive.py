@@ -40,6 +40,20 @@ from service.records.levels.measurement import (
 from service.records.operations.work import Job, JobKind, Replay, ReplayVersion
 from service.records.storage import Checkpoint, RetiredRows, SealedPart, SealedResults
 
+#: place of a row in a list: its instant, microseconds UTC, and its number
+Cursor = tuple[int, int]
+
+
+class ListPart(NamedTuple):
+    """Part of a list that is ordered by an instant and a number."""
+
+    window: Window
+    #: most rows
+    limit: int
+    #: the rows beyond this place; from the newest row backwards those below it
+    after: Cursor | None = None
+    newest_first: bool = False
+
 
 class Intervals(Protocol):
     """Intervals of an answer."""
@@ -112,17 +126,7 @@ class Archive(Protocol):
     def slow_inputs_before(self, spacecraft_id: str, number: int, kinds: Sequence[str]) -> list[JournalEntry]:
         """Return all slow inputs of some kinds with a number below the given one, in order."""
 
-    def inputs(
-        self,
-        spacecraft_id: str,
-        kind: str,
-        window: Window,
-        limit: int,
-        after: tuple[int, int] | None,
-        *,
-        newest_first: bool = False,
-        is_compared: bool = True,
-    ) -> list[JournalEntry]:
+    def inputs(self, spacecraft_id: str, kind: str, part: ListPart, *, is_compared: bool = True) -> list[JournalEntry]:
         """Return slow inputs of a kind that overlap a window, in order of (start, number), beyond a cursor.
 
         Of operations only the newest revision is returned. Chain and interlock take them without comparison with their
@@ -132,16 +136,7 @@ class Archive(Protocol):
     def newest_measurement(self, spacecraft_id: str) -> Measurement | None:
         """Return the newest row of the prime source."""
 
-    def measurements(
-        self,
-        spacecraft_id: str,
-        window: Window,
-        limit: int,
-        after: tuple[int, int] | None,
-        source: str | None = None,
-        *,
-        newest_first: bool = False,
-    ) -> list[Measurement]:
+    def measurements(self, spacecraft_id: str, part: ListPart, source: str | None = None) -> list[Measurement]:
         """Return rows in order of (epoch, number) beyond a cursor; every source unless one is named."""
 
     def measurement_blocks(
@@ -341,17 +336,7 @@ class Results(Protocol):
     ) -> Iterator[Checkpoint]:
         """Yield the sound checkpoints of a fingerprint up to a journal number, before an epoch, newest first."""
 
-    def attitude_rows(
-        self,
-        spacecraft_id: str,
-        version: str,
-        method: Method,
-        window: Window,
-        limit: int,
-        after: tuple[int, int] | None,
-        *,
-        newest_first: bool = False,
-    ) -> list[AttitudeRow]:
+    def attitude_rows(self, spacecraft_id: str, version: str, method: Method, part: ListPart) -> list[AttitudeRow]:
         """Return rows in order of (epoch, number of the measurement) beyond a cursor.
 
         Of the live version exactly one row a consumed measurement: where nothing was computed, the row has null angles,
@@ -393,16 +378,7 @@ class Results(Protocol):
     def newest_attitude(self, spacecraft_id: str, version: str, method: Method) -> AttitudeRow | None:
         """Return the row with the greatest epoch."""
 
-    def commands(
-        self,
-        spacecraft_id: str,
-        version: str,
-        window: Window,
-        limit: int,
-        after: tuple[int, int] | None,
-        *,
-        newest_first: bool = False,
-    ) -> list[TorqueCommand]:
+    def commands(self, spacecraft_id: str, version: str, part: ListPart) -> list[TorqueCommand]:
         """Return computed commands in order of (epoch, number) beyond a cursor."""
 
     def newest_command(self, spacecraft_id: str, version: str) -> TorqueCommand | None:

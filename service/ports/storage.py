@@ -3,8 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple, Protocol
 
-from service.ports.archive import Archive, Results
-from service.records.calibration import Window
+from service.ports.archive import Archive, ListPart, Results
 from service.records.catalogue import Carrier, CarrierPlan, Ephemeris, Spacecraft
 from service.records.levels.measurement import Whereabouts
 from service.records.levels.sweep import KeptTrace, Ring, Trace, TraceHead, TraceReceipt
@@ -201,15 +200,7 @@ class Releases(Protocol):
     def command(self, spacecraft_id: str, counter: int) -> Command:
         """Return one command; NotFoundError ``command.unknown``."""
 
-    def commands(
-        self,
-        spacecraft_id: str,
-        window: Window,
-        limit: int,
-        after: tuple[int, int] | None,
-        *,
-        newest_first: bool = False,
-    ) -> list[Command]:
+    def commands(self, spacecraft_id: str, part: ListPart) -> list[Command]:
         """Return commands prepared in a window in order of (prepared, counter) beyond a cursor."""
 
     def product(self, spacecraft_id: str, form: ProductForm, counter: int) -> UplinkProduct:
@@ -256,15 +247,7 @@ class Traces(Protocol):
         """
 
     def heads(
-        self,
-        spacecraft_id: str,
-        window: Window,
-        limit: int,
-        after: tuple[int, int] | None,
-        source: str | None = None,
-        sweep: str | None = None,
-        *,
-        newest_first: bool = False,
+        self, spacecraft_id: str, part: ListPart, source: str | None = None, sweep: str | None = None
     ) -> list[TraceHead]:
         """Return kept traces without their points in order of (epoch, number) beyond a cursor."""
 
@@ -289,16 +272,7 @@ class Alarms(Protocol):
     def open_alarms(self, spacecraft_id: str | None) -> tuple[Alarm, ...]:
         """Return the alarms of a spacecraft, or of the service (None), that stand, those under a cover too."""
 
-    def alarms(
-        self,
-        spacecraft_id: str,
-        states: Sequence[str],
-        window: Window,
-        limit: int,
-        after: tuple[int, int] | None,
-        *,
-        newest_first: bool = False,
-    ) -> list[Alarm]:
+    def alarms(self, spacecraft_id: str, states: Sequence[str], part: ListPart) -> list[Alarm]:
         """Return alarms of a spacecraft and of the service raised in a window, in order of (raised, id).
 
         Newest first: in the reverse order, where a cursor bounds from above; so it is in every list that has it. States
@@ -348,15 +322,7 @@ class Notes(Protocol):
     def note(self, note_id: int) -> Note:
         """Return one note; NotFoundError ``note.unknown``."""
 
-    def notes(
-        self,
-        window: Window,
-        limit: int,
-        after: tuple[int, int] | None,
-        spacecraft_id: str | None = None,
-        *,
-        newest_first: bool = False,
-    ) -> list[Note]:
+    def notes(self, part: ListPart, spacecraft_id: str | None = None) -> list[Note]:
         """Return notes about instants of a window in order of (epoch, id), also those about no spacecraft."""
 
     def drop_before(self, spacecraft_id: str | None, before_us: int) -> Iterator[int]:

@@ -271,7 +271,7 @@ async def test_a_change_and_its_entry_are_one(soo, spacecraft, monkeypatch):
     def fail(*_):
         raise StorageError("storage.unavailable", "on purpose")
 
-    monkeypatch.setattr("db.audit_chain.append_entry", fail)
+    monkeypatch.setattr("db.database.append_entry", fail)
     answer = await soo.client.post(SC, json=spacecraft)
     assert (answer.status_code, answer.headers["retry-after"]) == (503, "5")
     monkeypatch.undo()

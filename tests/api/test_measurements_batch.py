@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from service.api.problems.next_steps import NEXT_STEPS
+from service.ports.archive import ListPart
 from service.records.calibration import Window
 from service.records.epoch import format_epoch
 
@@ -25,7 +26,7 @@ def row(offset_s: float = 0.0, powers: list[Any] | None = None, **more: Any) -> 
 
 
 def stored(soo) -> list[Any]:
-    return soo.storage.archive.measurements("yamal-202", ALL, 1000, None)
+    return soo.storage.archive.measurements("yamal-202", ListPart(ALL, 1000))
 
 
 async def test_accepted_rows_are_stored_as_sent_and_told_to_the_supervisor(soo, spacecraft, carriers):

@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 
+from service.ports.archive import ListPart
 from service.records.calibration import Window
 from service.records.epoch import format_epoch
 
@@ -53,7 +54,7 @@ async def test_the_key_of_another_station_sends_nothing_for_a_source(soo, spacec
     refused = await soo.client.post(f"{SC}/traces", json={"source": "sa-1", "traces": [trace]}, headers=other)
     assert (refused.status_code, refused.json()["code"]) == (403, "source.not_yours")
     assert (await send(soo, other, plan_id, -4, "sa-2")).status_code == 200
-    assert len(soo.storage.archive.measurements("yamal-202", ALL, 9, None)) == 2
+    assert len(soo.storage.archive.measurements("yamal-202", ListPart(ALL, 9))) == 2
 
 
 async def test_a_row_that_a_person_sent_says_so_and_a_station_takes_the_source(soo, spacecraft, carriers):

@@ -19,7 +19,7 @@ from db.storage import SqlStorage
 from service.api.export.export_files import FileFormat, FileOrder, archive_file
 from service.core.geometry.frames import attitude_of_quaternion
 from service.formats.ccsds import AemWriter, AttitudeMessage
-from service.ports.archive import LIVE, Outcome
+from service.ports.archive import LIVE, ListPart, Outcome
 from service.records.calibration import Window
 from service.records.catalogue import Carrier, Method, Site, Spacecraft, Station
 from service.records.levels.attitude import AttitudeRow, Axes, Status, row_without_attitude
@@ -42,7 +42,7 @@ def main(folder: Path) -> None:
     rows = fill(storage)
     write(storage, folder / "powers.tdm", "measurements", "tdm")
     write(storage, folder / "attitude.aem", "attitude", "aem")
-    attitude = storage.results.attitude_rows(SC, LIVE, Method.ROBUST, EVERYTHING, 10_000, None)
+    attitude = storage.results.attitude_rows(SC, LIVE, Method.ROBUST, ListPart(EVERYTHING, 10_000))
     document = {
         "powers": [
             {
@@ -99,7 +99,7 @@ def fill(storage: SqlStorage) -> list[Measurement]:
             details=CarrierDetails(nothing, c_n0, nothing, nothing) if source == "sa-1" else None,
         )
         assert storage.archive.append_measurements(batch).result(30).accepted == shape[0]
-    rows = storage.archive.measurements(SC, EVERYTHING, 10_000, None)
+    rows = storage.archive.measurements(SC, ListPart(EVERYTHING, 10_000))
     angles = rng.uniform(-2.0, 2.0, (len(rows), 3))
     angles[::11] = np.nan
     outcomes = [

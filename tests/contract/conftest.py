@@ -12,7 +12,7 @@ import pytest
 import stored_records
 
 from db.storage import SqlStorage
-from service.ports.archive import Outcome
+from service.ports.archive import ListPart, Outcome
 from service.ports.storage import Storage
 from service.records.calibration import (
     Alignment,
@@ -79,7 +79,7 @@ class Setting:
 
     def rows(self) -> list[Measurement]:
         """Return every stored row."""
-        return self.storage.archive.measurements(self.id, EVER, 1_000_000, None)
+        return self.storage.archive.measurements(self.id, ListPart(EVER, 1_000_000))
 
     def consume(self, outcomes: Sequence[Outcome] = (), version: str = "live") -> int:
         """Store outcomes as if the chain had consumed all there is."""

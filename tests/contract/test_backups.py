@@ -13,7 +13,7 @@ from db.maintenance.backup import ARCHIVE_FILE, MANIFEST_FILE, create_backup, re
 from db.schema.layout import LAYOUT
 from db.schema.tables import metadata
 from db.storage import SqlStorage
-from service.ports.archive import Outcome
+from service.ports.archive import ListPart, Outcome
 from service.records.catalogue import LIVE_METHODS
 from service.records.inputs import Operation
 from service.records.operations.access import BrowserSession
@@ -106,7 +106,9 @@ def test_a_backup_put_back_on_either_database_is_the_same_archive(filled, url, e
     try:
         assert storage.archive.append_measurements(filled.batch([10, 40], [-50.1, -51.0])).result(120).accepted == 1
         assert storage.archive.head(filled.id).newest_number == head.newest_number + 1
-        assert storage.archive.measurements(filled.id, filled_window(), 99, None)[-1].number == head.newest_number + 1
+        assert (
+            storage.archive.measurements(filled.id, ListPart(filled_window(), 99))[-1].number == head.newest_number + 1
+        )
     finally:
         storage.close()
 

@@ -18,7 +18,7 @@ from db.measurements import retention
 from db.schema.tables import retention_mark
 from db.storage import SqlStorage
 from service.errors import ConflictError, StorageError
-from service.ports.archive import Outcome
+from service.ports.archive import ListPart, Outcome
 from service.records.calibration import Window
 from service.records.catalogue import Method, Site, Spacecraft
 from service.records.inputs import Correction, Operation
@@ -183,7 +183,7 @@ def test_close_commits_what_is_queued_and_then_refuses(setting, url, make):
         setting.storage.results.free_jobs("late")
     assert caught.value.code == "storage.closed"
     reopened = SqlStorage(url)
-    assert len(reopened.archive.measurements(setting.id, make.ever, 9, None)) == 2
+    assert len(reopened.archive.measurements(setting.id, ListPart(make.ever, 9))) == 2
     reopened.close()
 
 
@@ -379,7 +379,7 @@ def drop(setting, series, before_us):
 
 
 def attitude(setting, make, method=Method.ROBUST):
-    rows = setting.storage.results.attitude_rows(setting.id, "live", method, make.ever, 99, None)
+    rows = setting.storage.results.attitude_rows(setting.id, "live", method, ListPart(make.ever, 99))
     return [(row.epoch_us, row.status.value) for row in rows]
 
 
@@ -397,9 +397,9 @@ def test_measurements_go_day_by_day_from_segments_and_rows(lived, make, days):
         assert connection.scalar(select(retention_mark.c.rows_dropped)) == 4 * days
     # attitude outlives what it was computed from, and nothing is told twice
     assert attitude(lived, make) == attitudes
-    pages = [lived.storage.results.attitude_rows(lived.id, "live", Method.ROBUST, make.ever, 5, None)]
+    pages = [lived.storage.results.attitude_rows(lived.id, "live", Method.ROBUST, ListPart(make.ever, 5))]
     while page := lived.storage.results.attitude_rows(
-        lived.id, "live", Method.ROBUST, make.ever, 5, (pages[-1][-1].epoch_us, pages[-1][-1].number)
+        lived.id, "live", Method.ROBUST, ListPart(make.ever, 5, (pages[-1][-1].epoch_us, pages[-1][-1].number))
     ):
         pages.append(page)
     assert [(row.epoch_us, row.status.value) for page in pages for row in page] == attitudes
@@ -440,7 +440,7 @@ def test_attitude_is_told_when_all_measurements_are_gone(lived, make):
 
 def test_commands_go_too_and_a_resumed_stream_goes_on_behind_them(lived, make):
     assert drop(lived, "torques", 2 * DAY_US) == 6
-    assert len(lived.storage.results.commands(lived.id, "live", make.ever, 99, None)) == 6
+    assert len(lived.storage.results.commands(lived.id, "live", ListPart(make.ever, 99))) == 6
     drop(lived, "attitude", 2 * DAY_US)
     (first, *_) = lived.storage.results.results_after(lived.id, 0, 2)
     assert first[1].epoch_us == 2 * DAY_US
@@ -459,7 +459,7 @@ def test_traces_go_by_age(setting):
     one = [Trace(day * DAY_US, "sweep", settings, np.zeros(3)) for day in range(3)]
     traces.append(setting.id, "sa-1", one, 5, Ring(99, 1 << 20))
     assert drop(setting, "traces", 2 * DAY_US) == 2
-    assert [head.epoch_us for head in traces.heads(setting.id, Window(0, ALWAYS), 9, None)] == [2 * DAY_US]
+    assert [head.epoch_us for head in traces.heads(setting.id, ListPart(Window(0, ALWAYS), 9))] == [2 * DAY_US]
 
 
 def test_the_oldest_days_do_not_fit_a_size(lived):

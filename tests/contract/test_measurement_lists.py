@@ -15,9 +15,9 @@ from stored_records import ALARM, AUDIT_EVENT, COMMAND
 from db.encoding.segments import DAY_US, SegmentCache
 from db.measurements.ingest import StoreBatch
 from db.measurements.row_insert import prepare
-from db.schema.tables import head, measurement, measurement_detail, sequence_interval, source
+from db.schema.tables import head, measurement, sequence_interval, source
 from service.errors import NotFoundError
-from service.ports.archive import LIVE, Outcome
+from service.ports.archive import LIVE, ListPart, Outcome
 from service.records.calibration import Window
 from service.records.catalogue import Method
 from service.records.inputs import AttitudeReference, Operation
@@ -192,13 +192,15 @@ def lists_of(setting, window):
 
     def of_inputs(kind):
         return (
-            lambda limit, after, **order: archive.inputs(name, kind, window, limit, after, **order),
+            lambda limit, after, **order: archive.inputs(name, kind, ListPart(window, limit, after, **order)),
             lambda entry: (entry.start_us, entry.number),
         )
 
     def of_attitude(version, method):
         return (
-            lambda limit, after, **order: results.attitude_rows(name, version, method, window, limit, after, **order),
+            lambda limit, after, **order: results.attitude_rows(
+                name, version, method, ListPart(window, limit, after, **order)
+            ),
             by_epoch,
         )
 
@@ -206,32 +208,32 @@ def lists_of(setting, window):
         "attitude": of_attitude(LIVE, Method.ROBUST),
         "attitude without rows": of_attitude(LIVE, Method.PAPER),
         "attitude of a replay": of_attitude(REPLAYED, Method.ROBUST),
-        "torques": (lambda *page, **order: results.commands(name, LIVE, window, *page, **order), by_epoch),
+        "torques": (lambda *page, **order: results.commands(name, LIVE, ListPart(window, *page, **order)), by_epoch),
         "replays": (
             lambda *page, **order: results.replays(name, window, *page, **order),
             lambda each: each.replay.id,
         ),
-        "measurements": (lambda *page, **order: archive.measurements(name, window, *page, **order), by_epoch),
+        "measurements": (lambda *page, **order: archive.measurements(name, ListPart(window, *page, **order)), by_epoch),
         "measurements of a source": (
-            lambda *page, **order: archive.measurements(name, window, *page, "sa-2", **order),
+            lambda *page, **order: archive.measurements(name, ListPart(window, *page, **order), "sa-2"),
             by_epoch,
         ),
         "references": of_inputs("reference"),
         "operations": of_inputs("operation"),
         "alarms": (
-            lambda *page, **order: storage.alarms.alarms(name, [], window, *page, **order),
+            lambda *page, **order: storage.alarms.alarms(name, [], ListPart(window, *page, **order)),
             lambda alarm: (alarm.raised_at_us, alarm.id),
         ),
         "notes": (
-            lambda *page, **order: storage.notes.notes(window, *page, name, **order),
+            lambda *page, **order: storage.notes.notes(ListPart(window, *page, **order), name),
             lambda note: (note.epoch_us, note.id),
         ),
         "commands": (
-            lambda *page, **order: storage.releases.commands(name, window, *page, **order),
+            lambda *page, **order: storage.releases.commands(name, ListPart(window, *page, **order)),
             lambda command: (command.prepared_us, command.counter),
         ),
         "traces": (
-            lambda *page, **order: storage.traces.heads(name, window, *page, **order),
+            lambda *page, **order: storage.traces.heads(name, ListPart(window, *page, **order)),
             by_epoch,
         ),
         "audit": (
@@ -289,7 +291,7 @@ def test_a_page_from_the_end_reads_what_it_holds_and_no_more(setting, make):
     setting.append(range(0, 3000 * 1_000_000, 1_000_000))
     seen = []
     archive = setting.storage.archive
-    page = archive.measurements(setting.id, EVER, 10, None, newest_first=True)
+    page = archive.measurements(setting.id, ListPart(EVER, 10, newest_first=True))
     assert [row.epoch_us for row in page] == [k * 1_000_000 for k in range(2999, 2989, -1)]
     pages = archive._pages
 
@@ -306,7 +308,7 @@ def test_a_page_from_the_end_reads_what_it_holds_and_no_more(setting, make):
         return found
 
     archive._pages = counting
-    archive.measurements(setting.id, EVER, 10, (page[-1].epoch_us, page[-1].number), newest_first=True)
+    archive.measurements(setting.id, ListPart(EVER, 10, (page[-1].epoch_us, page[-1].number), newest_first=True))
     assert sum(seen) < 40
 
 
@@ -400,7 +402,7 @@ def test_in_whatever_order_blocks_come_the_count_is_that_of_the_stored_rows(sett
         held = set().union(*order)
         expected += 120 - len(held)
         assert missing(setting) == expected, f"seed {seed} run {run}"
-    stored = setting.storage.archive.measurements(setting.id, Window(0, 1 << 60), 1000, None)
+    stored = setting.storage.archive.measurements(setting.id, ListPart(Window(0, 1 << 60), 1000))
     assert len(stored) == 240 - expected
 
 
@@ -432,7 +434,7 @@ def test_a_jump_of_just_a_thousand_million_numbers_is_a_gap(setting):
     assert missing(setting) == 999_999_999
 
 
-TABLES = (head, source, sequence_interval, measurement, measurement_detail)
+TABLES = (head, source, sequence_interval, measurement)
 
 
 def a_batch(setting, dice):
@@ -513,7 +515,7 @@ def test_a_batch_that_fails_among_others_is_lost_alone(setting):
 
 
 LEVEL = np.float32(-50.12)
-#: alone each of these is stored in a form of its own: steps of a hundredth, of a power of two, float32
+#: hundredths, neighbours that differ in their last bit, and levels far apart
 ROWS = np.array(
     [[-50.12, -50.5, -49.0], [LEVEL, LEVEL, np.nextafter(LEVEL, np.float32(0))], [-50.12, 3e-30, np.nan]],
     dtype=np.float32,

@@ -10,6 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from service.errors import ForbiddenError, InvalidInputError, NotFoundError
+from service.ports.archive import ListPart
 from service.records.calibration import Window
 from service.records.catalogue import Carrier
 from service.records.levels.measurement import DETAIL_NAMES, BatchReceipt, CarrierDetails, Measurement, Sender
@@ -258,11 +259,11 @@ def test_pages_of_measurements_join_without_gap_or_overlap(setting):
     setting.append([30, 10, 20], [-1.0, -2.0, -3.0])
     setting.append([20, 10], source="sa-2")
     archive, pages, after = setting.storage.archive, [], None
-    while page := archive.measurements(setting.id, Window(10, 30), 3, after):
+    while page := archive.measurements(setting.id, ListPart(Window(10, 30), 3, after)):
         pages.append([(row.epoch_us, row.number) for row in page])
         after = pages[-1][-1]
     assert pages == [[(10, 5), (10, 8), (20, 6)], [(20, 7)]]
-    only = archive.measurements(setting.id, Window(0, 99), 9, None, "sa-2")
+    only = archive.measurements(setting.id, ListPart(Window(0, 99), 9), "sa-2")
     assert [row.number for row in only] == [8, 7]
 
 

@@ -10,6 +10,7 @@ from stored_records import ALARM, AUDIT_EVENT, AXES, COMMAND, PULSES
 
 from db.storage import SqlStorage
 from service.errors import ConflictError, NotFoundError, StorageError
+from service.ports.archive import ListPart
 from service.records.calibration import Window
 from service.records.catalogue import Site, Spacecraft
 from service.records.levels.attitude import ReleasedCommand, ReportedCommand
@@ -91,7 +92,7 @@ def test_alarms_are_listed_by_state_and_window_with_those_of_the_service(storage
     old = raise_one(storage, process=Process.NORMAL, raised_at_us=6 * S).id
 
     def listed(*states, limit=10, after=None, window=make.ever):
-        return [each.id for each in storage.alarms.alarms("craft", states, window, limit, after)]
+        return [each.id for each in storage.alarms.alarms("craft", states, ListPart(window, limit, after))]
 
     assert listed() == [*ids, service, covered, old]
     assert listed("open") == [*ids, service]
@@ -137,9 +138,9 @@ def test_notes_are_added_and_told_in_order_of_their_epochs(storage, make):
     fixed = add(30, corrects=early.id)
     other = storage.notes.add(Note(0, "other", 12, 50, "anna", "elsewhere"))
     assert storage.notes.note(fixed.id) == fixed
-    assert storage.notes.notes(make.ever, 10, None, "craft") == [early, general, late, fixed]
-    assert storage.notes.notes(make.ever, 10, None) == [early, other, general, late, fixed]
-    assert storage.notes.notes(make.ever, 2, (10, early.id), "craft") == [general, late]
+    assert storage.notes.notes(ListPart(make.ever, 10), "craft") == [early, general, late, fixed]
+    assert storage.notes.notes(ListPart(make.ever, 10)) == [early, other, general, late, fixed]
+    assert storage.notes.notes(ListPart(make.ever, 2, (10, early.id)), "craft") == [general, late]
     assert storage.notes.newest(2, "craft") == [fixed, late]
     assert storage.notes.last_written(3, "craft") == [fixed, general, early]
 
@@ -269,9 +270,9 @@ def test_commands_are_listed_in_order_of_preparation_beyond_a_cursor(setting, ne
     releases.save(setting.id, 0, release_change(commands=made))
     releases.save(new_setting().id, 0, release_change(commands=(COMMAND,)))
     window = Window(700 * S, 702 * S)
-    first = releases.commands(setting.id, window, 2, None)
+    first = releases.commands(setting.id, ListPart(window, 2))
     assert [command.counter for command in first] == [1, 2]
-    rest = releases.commands(setting.id, window, 9, (first[-1].prepared_us, 2))
+    rest = releases.commands(setting.id, ListPart(window, 9, (first[-1].prepared_us, 2)))
     assert [command.counter for command in rest] == [3]
 
 
@@ -287,7 +288,7 @@ def test_release_and_report_enter_the_journal_with_the_state(setting):
     assert tuple(entry.content for entry in archive.journal(setting.id, before, 9)) == reported
     again = InterlockHold(1000 * S, "INHIBITED", (), is_withheld=False, version=2)
     releases.save(setting.id, 1, release_change(entries=(again,)))
-    holds = archive.inputs(setting.id, "interlock", Window(0, 1 << 60), 9, None)
+    holds = archive.inputs(setting.id, "interlock", ListPart(Window(0, 1 << 60), 9))
     assert [entry.content.version for entry in holds] == [1, 2]
     # a version that is told again would be lost without a word
     with pytest.raises(ConflictError, match=r"release\.changed"):

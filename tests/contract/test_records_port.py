@@ -9,6 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from service.errors import ConflictError, InvalidInputError, NotFoundError
+from service.ports.archive import ListPart
 from service.records.calibration import Window
 from service.records.inputs import (
     AlignmentSet,
@@ -164,7 +165,7 @@ def test_inputs_of_a_window_are_those_that_overlap_it(setting):
     archive = setting.storage.archive
     spans = [(0, 10), (5, 15), (12, 13), (0, 40), (20, 30), (10, 10)]
     archive.append_inputs(setting.id, [Correction(start, stop, NO_ANGLES) for start, stop in spans])
-    found = archive.inputs(setting.id, "correction", Window(10, 20), 99, None)
+    found = archive.inputs(setting.id, "correction", ListPart(Window(10, 20), 99))
     assert [(e.content.start_us, e.content.stop_us) for e in found] == [(0, 40), (5, 15), (10, 10), (12, 13)]
 
 
@@ -172,7 +173,7 @@ def test_pages_of_inputs_join(setting):
     archive = setting.storage.archive
     archive.append_inputs(setting.id, [reference(30), reference(10), reference(10, "earth_sensor"), reference(50)])
     numbers, after = [], None
-    while page := archive.inputs(setting.id, "reference", Window(10, 50), 2, after):
+    while page := archive.inputs(setting.id, "reference", ListPart(Window(10, 50), 2, after)):
         numbers += [entry.number for entry in page]
         after = (page[-1].content.epoch_us, page[-1].number)
     assert numbers == [5, 6, 4]
@@ -186,9 +187,9 @@ def test_an_operation_is_revised_and_listed_in_its_newest_revision(setting):
     changed = archive.replace_operation(setting.id, replace(first, stop_us=9))
     assert (first.id, second.id, changed.revision) == (1, 2, 2)
     assert archive.operation(setting.id, 1) == changed
-    listed = archive.inputs(setting.id, "operation", Window(0, 99), 9, None)
+    listed = archive.inputs(setting.id, "operation", ListPart(Window(0, 99), 9))
     assert [entry.content for entry in listed] == [second, changed]
-    assert archive.inputs(setting.id, "operation", Window(20, 99), 9, None) == [listed[0]]
+    assert archive.inputs(setting.id, "operation", ListPart(Window(20, 99), 9)) == [listed[0]]
     assert contents(setting) == [first, second, changed]
     for call in (
         lambda: archive.operation(setting.id, 3),
@@ -228,7 +229,7 @@ def test_an_applied_command_can_be_reported(setting, make):
         lambda archive: archive.sources("none"),
         lambda archive: archive.append_inputs("none", []),
         lambda archive: archive.newest_measurement("none"),
-        lambda archive: archive.measurements("none", Window(0, 1), 1, None),
+        lambda archive: archive.measurements("none", ListPart(Window(0, 1), 1)),
     ],
 )
 def test_an_unknown_spacecraft_is_named(storage, call):
@@ -338,7 +339,7 @@ def trace(epoch_us: int, sweep: str = "tp1", points: int = 7) -> Trace:
 
 
 def epochs_of(setting, **options) -> list[int]:
-    heads = setting.storage.traces.heads(setting.id, EVER, 10_000, None, **options)
+    heads = setting.storage.traces.heads(setting.id, ListPart(EVER, 10_000), **options)
     return [head.epoch_us for head in heads]
 
 
@@ -399,10 +400,10 @@ def test_the_ring_keeps_the_newest_epochs_of_each_source(setting):
 
 def test_the_ring_is_bounded_by_bytes_too(setting):
     append(setting, [trace(k, points=500) for k in range(1, 9)])
-    (size,) = {head.size_bytes for head in setting.storage.traces.heads(setting.id, EVER, 1, None)}
+    (size,) = {head.size_bytes for head in setting.storage.traces.heads(setting.id, ListPart(EVER, 1))}
     kept = append(setting, [trace(9, points=500)], Ring(1000, 4 * size))
     assert kept.accepted == 1
-    heads = setting.storage.traces.heads(setting.id, EVER, 100, None)
+    heads = setting.storage.traces.heads(setting.id, ListPart(EVER, 100))
     assert sum(head.size_bytes for head in heads) <= 4 * size
     assert [head.epoch_us for head in heads][-1] == 9
     assert len(heads) >= 3
@@ -418,7 +419,7 @@ def test_pages_of_heads_join_and_filters_choose(setting):
     append(setting, [trace(10), trace(20), trace(20, "tp2"), trace(30)])
     append(setting, [trace(20)], source="sa-2")
     traces, after, pages = setting.storage.traces, None, []
-    while page := traces.heads(setting.id, Window(10, 30), 2, after):
+    while page := traces.heads(setting.id, ListPart(Window(10, 30), 2, after)):
         pages.append([(head.epoch_us, head.number) for head in page])
         after = pages[-1][-1]
     assert [epoch_us for page in pages for epoch_us, _ in page] == [10, 20, 20, 20]

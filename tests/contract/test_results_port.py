@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from service.core.rows import SampleBins
 from service.errors import BusyError, ConflictError, NotFoundError
-from service.ports.archive import LIVE, Outcome
+from service.ports.archive import LIVE, ListPart, Outcome
 from service.records.calibration import (
     Alignment,
     CalibrationMethod,
@@ -297,8 +297,8 @@ def test_a_deleted_version_is_nobodys_to_read_or_write_and_its_rows_go(setting, 
     calls = (
         lambda: results.replay(setting.id, gone),
         lambda: results.delete_replay(setting.id, gone),
-        lambda: results.attitude_rows(setting.id, gone, Method.ROBUST, make.ever, 9, None),
-        lambda: results.commands(setting.id, gone, make.ever, 9, None),
+        lambda: results.attitude_rows(setting.id, gone, Method.ROBUST, ListPart(make.ever, 9)),
+        lambda: results.commands(setting.id, gone, ListPart(make.ever, 9)),
         lambda: list(results.sampled_attitude(setting.id, gone, Method.ROBUST, make.ever, HOURS)),
         lambda: list(results.sampled_carriers(setting.id, gone, Method.ROBUST, make.ever, HOURS)),
         lambda: list(results.sampled_impulse(setting.id, gone, make.ever, HOURS)),
@@ -308,8 +308,8 @@ def test_a_deleted_version_is_nobodys_to_read_or_write_and_its_rows_go(setting, 
     assert [each.replay.version for each in results.replays(setting.id, EVER, 9, 0)] == [kept]
     assert sum(results.drop_replays(setting.id, None)) == 6
     assert list(results.drop_replays(setting.id, None)) == []
-    assert len(results.attitude_rows(setting.id, kept, Method.ROBUST, make.ever, 9, None)) == 3
-    assert len(results.commands(setting.id, kept, make.ever, 9, None)) == 3
+    assert len(results.attitude_rows(setting.id, kept, Method.ROBUST, ListPart(make.ever, 9))) == 3
+    assert len(results.commands(setting.id, kept, ListPart(make.ever, 9))) == 3
     # the number is not given again
     assert add() == "replay-3"
 
@@ -357,7 +357,7 @@ NAN = float("nan")
 
 
 def reasons(setting, make, method):
-    rows = setting.storage.results.attitude_rows(setting.id, LIVE, method, make.ever, 99, None)
+    rows = setting.storage.results.attitude_rows(setting.id, LIVE, method, ListPart(make.ever, 99))
     return [row.inhibitions for row in rows]
 
 
@@ -454,10 +454,10 @@ def test_only_the_live_version_counts_and_moves_the_head(setting, make):
     head = setting.storage.archive.head(setting.id)
     assert (head.newest_number, head.consumed_number, head.result_sequence) == (4, 0, 0)
     results = setting.storage.results
-    assert results.attitude_rows(setting.id, "replay-1", Method.ROBUST, make.ever, 9, None) == [replayed.rows[0]]
+    assert results.attitude_rows(setting.id, "replay-1", Method.ROBUST, ListPart(make.ever, 9)) == [replayed.rows[0]]
     assert results.newest_attitude(setting.id, "replay-1", Method.ROBUST) == replayed.rows[0]
     assert results.newest_attitude(setting.id, "replay-1", Method.PAPER) is None
-    assert results.commands(setting.id, "replay-1", make.ever, 9, None) == [command]
+    assert results.commands(setting.id, "replay-1", ListPart(make.ever, 9)) == [command]
     assert results.newest_attitude(setting.id, LIVE, Method.ROBUST) is None
     assert results.newest_command(setting.id, LIVE) is None
     assert results.results_after(setting.id, 0, 9) == []
@@ -514,7 +514,7 @@ def test_there_is_one_row_a_consumed_measurement_of_the_prime_source(setting, ma
     computed = [make.attitude_row(row) for row in setting.rows() if row.epoch_us == 20]
     setting.consume([Outcome(tuple(computed), None)])
     setting.append([40])
-    rows = results.attitude_rows(setting.id, LIVE, Method.ROBUST, make.ever, 99, None)
+    rows = results.attitude_rows(setting.id, LIVE, Method.ROBUST, ListPart(make.ever, 99))
     assert [(row.epoch_us, row.number, row.status) for row in rows] == [
         (10, 5, Status.INVALID),
         (20, 6, Status.ACQUIRED),
@@ -528,7 +528,7 @@ def test_the_newest_row_takes_one_statement_and_is_the_last_of_the_history(setti
     setting.append([10, 20, 30])
     setting.consume(outcomes(setting, make))
     results = setting.storage.results
-    last = results.attitude_rows(setting.id, LIVE, Method.ROBUST, make.ever, 99, None)[-1]
+    last = results.attitude_rows(setting.id, LIVE, Method.ROBUST, ListPart(make.ever, 99))[-1]
     with monkeypatch.context() as patch:
         patch.setattr("db.results.results.AttitudeReader", None)
         assert results.newest_attitude(setting.id, LIVE, Method.ROBUST) == last
@@ -545,11 +545,11 @@ def test_pages_of_attitude_and_commands_join(setting, make, version):
     made = [Outcome((make.attitude_row(row),), make.torque_command(row)) for row in setting.rows()]
     setting.consume(made, version)
     rows, commands, after = [], [], None
-    while page := results.attitude_rows(setting.id, version, Method.ROBUST, Window(10, 40), 2, after):
+    while page := results.attitude_rows(setting.id, version, Method.ROBUST, ListPart(Window(10, 40), 2, after)):
         rows += page
         after = (page[-1].epoch_us, page[-1].number)
     after = None
-    while page := results.commands(setting.id, version, Window(10, 40), 2, after):
+    while page := results.commands(setting.id, version, ListPart(Window(10, 40), 2, after)):
         commands += page
         after = (page[-1].epoch_us, page[-1].number)
     assert [row.epoch_us for row in rows] == [command.epoch_us for command in commands] == [10, 20, 30]

@@ -12,14 +12,14 @@ from sqlalchemy import select, update
 
 from db import sealing
 from db.encoding.column_blob import pack_columns
-from db.encoding.segments import DAY_US, heads_where, of_measurements
+from db.encoding.segments import DAY_US, SegmentCache, heads_where, of_measurements
 from db.maintenance.integrity_check import examine_content
 from db.schema.columns import checksum_of
 from db.schema.tables import measurement, segment
 from db.storage import SqlStorage
 from service.core.rows import SampleBins
 from service.errors import StorageError
-from service.ports.archive import LIVE, Outcome
+from service.ports.archive import LIVE, ListPart, Outcome
 from service.records.calibration import Window
 from service.records.catalogue import LIVE_METHODS, Method
 from service.records.inputs import Correction
@@ -72,7 +72,7 @@ def blocks(archive, name, window, **options):
 
 def pages(archive, name, window, limit, source=None) -> Iterator[str]:
     after = None
-    while page := archive.measurements(name, window, limit, after, source):
+    while page := archive.measurements(name, ListPart(window, limit, after), source):
         yield flat(page)
         after = page[-1].epoch_us, page[-1].number
 
@@ -94,15 +94,15 @@ def answers(setting, windows, methods=LIVE_METHODS) -> dict[str, str]:
     for window in windows:
         found[f"plans {window}"] = archive.plan_ids(name, window)
         found[f"pages {window}"] = list(pages(archive, name, window, 5))
-        found[f"all {window}"] = archive.measurements(name, window, 10_000, None)
+        found[f"all {window}"] = archive.measurements(name, ListPart(window, 10_000))
         found[f"second {window}"] = list(pages(archive, name, window, 3, "sa-2"))
         found[f"after {window}"] = list(archive.measurements_after(name, window.start_us, newest - 3))
         found[f"series {window}"] = archive.measurement_series(name, window, ["c02", "none", "c00"])
         found[f"blocks {window}"] = blocks(archive, name, window)
         found[f"feeding {window}"] = blocks(archive, name, window, source="sa-1", feeds_estimator_only=True)
         for method in methods:
-            found[f"attitude {method} {window}"] = results.attitude_rows(name, "live", method, window, 10_000, None)
-            found[f"some attitude {method} {window}"] = results.attitude_rows(name, "live", method, window, 4, None)
+            found[f"attitude {method} {window}"] = results.attitude_rows(name, "live", method, ListPart(window, 10_000))
+            found[f"some attitude {method} {window}"] = results.attitude_rows(name, "live", method, ListPart(window, 4))
     return {question: flat(answer) for question, answer in found.items()}
 
 
@@ -258,7 +258,7 @@ def test_a_damaged_segment_is_told_and_touches_no_other_day(setting, make, colum
     damage(setting, DAY_US + 5, column)
     archive = setting.storage.archive
     with pytest.raises(StorageError) as caught:
-        archive.measurements(setting.id, make.ever, 99, None)
+        archive.measurements(setting.id, ListPart(make.ever, 99))
     assert caught.value.code == "storage.corrupt"
     assert setting.id in caught.value.detail
     assert "1970-01-02" in caught.value.detail
@@ -268,8 +268,8 @@ def test_a_damaged_segment_is_told_and_touches_no_other_day(setting, make, colum
     ):
         with pytest.raises(StorageError, match=r"storage\.corrupt"):
             calls()
-    assert len(archive.measurements(setting.id, Window(0, DAY_US), 99, None)) == 2
-    assert len(archive.measurements(setting.id, Window(2 * DAY_US, 3 * DAY_US), 99, None)) == 2
+    assert len(archive.measurements(setting.id, ListPart(Window(0, DAY_US), 99))) == 2
+    assert len(archive.measurements(setting.id, ListPart(Window(2 * DAY_US, 3 * DAY_US), 99))) == 2
     assert archive.newest_measurement(setting.id).epoch_us == 2 * DAY_US + 6
     assert {words for check, words in diagnosed(setting) if check == "segments"} == {"1970-01-02"}
     # late rows of the damaged day are taken in, wait in the table of rows, and let other days be sealed
@@ -308,12 +308,12 @@ def test_a_blob_under_a_right_checksum_that_is_no_such_day_is_told(setting, make
         blob = spoil(connection.scalar(select(segment.c.content).where(is_it)))
         checksum = checksum_of(segment, {**head._asdict(), "content": blob})
         connection.execute(update(segment).where(is_it).values(content=blob, checksum=checksum))
-    setting.storage._database.segments.clear()
+    setting.storage._database.segments = SegmentCache()
     archive = setting.storage.archive
     with pytest.raises(StorageError, match=r"storage\.corrupt.*1970-01-02"):
-        archive.measurements(setting.id, make.ever, 99, None)
+        archive.measurements(setting.id, ListPart(make.ever, 99))
     for window in (Window(0, DAY_US), Window(2 * DAY_US, 3 * DAY_US)):
-        assert len(archive.measurements(setting.id, window, 99, None)) == 2
+        assert len(archive.measurements(setting.id, ListPart(window, 99))) == 2
     assert ("segments", "1970-01-02") in diagnosed(setting)
 
 
@@ -324,7 +324,7 @@ def damage(setting, first_epoch_us, column):
         found = connection.scalar(select(segment.c[column]).where(is_it))
         changed = found + 1 if isinstance(found, int) else found[:-1] + bytes([found[-1] ^ 1])
         connection.execute(update(segment).where(is_it).values({column: changed}))
-    setting.storage._database.segments.clear()
+    setting.storage._database.segments = SegmentCache()
 
 
 READ_STEP_US = DAY_US // 50
@@ -384,7 +384,7 @@ def test_samples_are_those_of_a_moment(setting, make):
         k = len(stored)
         epoch_us = k * (SPAN.stop_us // (LATE + 2)) + 11
         setting.append([epoch_us], -50.0)
-        (row,) = setting.storage.archive.measurements(setting.id, Window(epoch_us, epoch_us + 1), 9, None)
+        (row,) = setting.storage.archive.measurements(setting.id, ListPart(Window(epoch_us, epoch_us + 1), 9))
         setting.consume([results_of(make, row)])
         stored.append(known + k)
         if k == LATE:

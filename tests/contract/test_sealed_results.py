@@ -7,13 +7,13 @@ import pytest
 from sqlalchemy import func, select, update
 
 from db import sealing
-from db.encoding.measurement_runs import pack_carriers
+from db.encoding.result_rows import pack_carriers
 from db.encoding.segments import DAY_US
 from db.measurements import retention
 from db.schema.tables import attitude, segment, torque
 from db.storage import SqlStorage
 from service.errors import StorageError
-from service.ports.archive import LIVE, Outcome
+from service.ports.archive import LIVE, ListPart, Outcome
 from service.records.calibration import Window
 from service.records.catalogue import LIVE_METHODS, Method
 from service.records.levels.attitude import Axes, CarrierResults, Pulse
@@ -68,13 +68,13 @@ def answers(setting, windows, alignment):
         for window in windows:
 
             def commands(limit, after, version=version, window=window):
-                return results.commands(name, version, window, limit, after)
+                return results.commands(name, version, ListPart(window, limit, after))
 
             found[f"commands {version} {window}"] = [list(pages(commands, limit)) for limit in (4, 999)]
             for method in LIVE_METHODS:
 
                 def rows(limit, after, version=version, window=window, method=method):
-                    return results.attitude_rows(name, version, method, window, limit, after)
+                    return results.attitude_rows(name, version, method, ListPart(window, limit, after))
 
                 carriers = results.carrier_results(name, version, method, window)
                 found[f"carriers {method} {version} {window}"] = [
@@ -179,7 +179,7 @@ def test_a_result_stored_again_stays_as_it_is_when_it_is_sealed(setting, make):
         ]
         assert setting.consume(changed, version) == head.result_sequence
     assert rows_in_tables(setting) == [0, 0]
-    (found, *_) = setting.storage.results.attitude_rows(setting.id, LIVE, Method.ROBUST, make.ever, 9, None)
+    (found, *_) = setting.storage.results.attitude_rows(setting.id, LIVE, Method.ROBUST, ListPart(make.ever, 9))
     assert found.common_db != 9.0
 
 
@@ -190,10 +190,10 @@ def test_late_results_go_into_the_segment_later_and_a_busy_day_is_several(settin
     assert [part.rows for part in seal(setting)] == [10, 10, 10, 2]
     setting.append(range(1, 40, 2))
     setting.consume([Outcome((make.attitude_row(row),), None) for row in setting.rows()])
-    read = setting.storage.results.attitude_rows(setting.id, LIVE, Method.ROBUST, make.ever, 99, None)
+    read = setting.storage.results.attitude_rows(setting.id, LIVE, Method.ROBUST, ListPart(make.ever, 99))
     assert [row.epoch_us for row in read] == [*range(40), *range(40, 64, 2)]
     seal(setting)
-    assert setting.storage.results.attitude_rows(setting.id, LIVE, Method.ROBUST, make.ever, 99, None) == read
+    assert setting.storage.results.attitude_rows(setting.id, LIVE, Method.ROBUST, ListPart(make.ever, 99)) == read
     sizes = segment_sizes(setting)
     assert sum(sizes) == 52
     assert max(sizes) <= 15
@@ -253,12 +253,12 @@ def test_a_damaged_segment_is_told_and_touches_no_other_day(setting, make, colum
         connection.execute(update(segment).where(is_it).values({column: changed}))
     if column != "version":
         with pytest.raises(StorageError, match=r"storage\.corrupt") as caught:
-            results.attitude_rows(setting.id, LIVE, Method.ROBUST, make.ever, 99, None)
+            results.attitude_rows(setting.id, LIVE, Method.ROBUST, ListPart(make.ever, 99))
         assert setting.id in caught.value.detail
         assert "1970-01-02" in caught.value.detail
     for window in (Window(0, DAY_US), Window(2 * DAY_US, 3 * DAY_US)):
-        assert len(results.attitude_rows(setting.id, LIVE, Method.ROBUST, window, 99, None)) == 3
-    assert len(results.attitude_rows(setting.id, LIVE, Method.PAPER, make.ever, 99, None)) == 9
+        assert len(results.attitude_rows(setting.id, LIVE, Method.ROBUST, ListPart(window, 99))) == 3
+    assert len(results.attitude_rows(setting.id, LIVE, Method.PAPER, ListPart(make.ever, 99))) == 9
     assert results.newest_attitude(setting.id, LIVE, Method.ROBUST).epoch_us == 2 * DAY_US + 7
     # late rows of the damaged day wait in the table of rows, and other days are sealed
     setting.append([DAY_US + 9, 9])
@@ -277,9 +277,9 @@ def test_a_damaged_row_is_not_sealed(setting, make, caplog):
     assert "1 attitude rows differ from their checksum" in caplog.text
     read = setting.storage.results.attitude_rows
     with pytest.raises(StorageError, match=r"storage\.corrupt: The attitude row of .*000006Z number \d+ differs"):
-        read(setting.id, LIVE, Method.ROBUST, make.ever, 9, None)
+        read(setting.id, LIVE, Method.ROBUST, ListPart(make.ever, 9))
     for window in (Window(0, 6), Window(7, DAY_US)):
-        assert len(read(setting.id, LIVE, Method.ROBUST, window, 9, None)) == 1
+        assert len(read(setting.id, LIVE, Method.ROBUST, ListPart(window, 9))) == 1
 
 
 @pytest.mark.parametrize("series", ["attitude", "torques"])
@@ -295,8 +295,8 @@ def test_retention_drops_sealed_days_of_every_version(setting, make, monkeypatch
     assert sum(dropped.rows for dropped in archive.drop_before(setting.id, series, DAY_US + 7)) == rows
     assert sum(dropped.rows for dropped in archive.drop_before(setting.id, series, 3 * DAY_US)) == 2 * rows
     for version in (LIVE, REPLAYED):
-        attitudes = results.attitude_rows(setting.id, version, Method.PAPER, make.ever, 99, None)
-        commands = results.commands(setting.id, version, make.ever, 99, None)
+        attitudes = results.attitude_rows(setting.id, version, Method.PAPER, ListPart(make.ever, 99))
+        commands = results.commands(setting.id, version, ListPart(make.ever, 99))
         assert (len(attitudes), len(commands)) == ((0, 9) if series == "attitude" else (9, 0))
 
 

@@ -16,7 +16,7 @@ from db.results import state_history
 from db.results.results import SqlResults
 from db.schema.tables import segment, summary
 from service.core.rows import GapSearch, RowState, SampleBins
-from service.ports.archive import ATTITUDE_FIGURES, LIVE, Outcome
+from service.ports.archive import ATTITUDE_FIGURES, LIVE, ListPart, Outcome
 from service.records.calibration import Window
 from service.records.catalogue import LIVE_METHODS, Method
 from service.records.levels.attitude import NO_ANGLES, Axes, CarrierResults, Exclusion, Status
@@ -63,7 +63,7 @@ def check_powers(setting, window, count, source=None):
     """Compare samples of C/N0 and powers with those of the rows; the columns are those of the plan."""
     archive = setting.storage.archive
     plans = {setting.plan_id: [0, 1, 2]}
-    rows = archive.measurements(setting.id, window, 1_000_000, None, source)
+    rows = archive.measurements(setting.id, ListPart(window, 1_000_000), source)
     epochs_us = np.array([row.epoch_us for row in rows], dtype=np.int64)
     columns = [plans.get(row.plan_id, [2, 1, 0]) for row in rows]
     details = [CarrierDetails(*np.full((4, 3), np.nan)) if row.details is None else row.details for row in rows]
@@ -85,7 +85,7 @@ def figures_of(row):
 def check_attitude(setting, window, count, method=Method.ROBUST, version=LIVE):
     """Compare samples of attitude and of its carriers with those of the rows."""
     results = setting.storage.results
-    rows = results.attitude_rows(setting.id, version, method, window, 1_000_000, None)
+    rows = results.attitude_rows(setting.id, version, method, ListPart(window, 1_000_000))
     rows = [row for row in rows if row.calibration_id is not None]
     epochs_us = np.array([row.epoch_us for row in rows], dtype=np.int64)
     for columns in (len(ATTITUDE_FIGURES), 3):
@@ -344,7 +344,7 @@ def states_of(row):
 
 def rows_of(setting):
     span = Window(0, DAYS * DAY_US)
-    return setting.storage.results.attitude_rows(setting.id, LIVE, Method.ROBUST, span, 99_999, None)
+    return setting.storage.results.attitude_rows(setting.id, LIVE, Method.ROBUST, ListPart(span, 99_999))
 
 
 def check(setting):

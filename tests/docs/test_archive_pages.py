@@ -15,7 +15,7 @@ from page_blocks import CARRIERS, CRAFT, run_blocks
 from db.maintenance.doctor import CLOCK_TOLERANCE_US, FREE_BYTES_FAULT, FREE_BYTES_WARNING, WAL_BYTES_WARNING
 from db.storage import SqlStorage
 from service.client.service_client import ServiceClient
-from service.ports.archive import Outcome
+from service.ports.archive import ListPart, Outcome
 from service.records.calibration import Window
 from service.records.catalogue import LIVE_METHODS, Carrier, Method, Site, Spacecraft
 from service.records.levels.attitude import AttitudeRow, Axes, Status
@@ -118,7 +118,7 @@ def test_sizes_are_those_of_the_page(tmp_path: Path) -> None:
 
     def consume(storage: SqlStorage) -> None:
         head = storage.archive.head("craft")
-        rows = storage.archive.measurements("craft", Window(0, 1 << 60), count, None)
+        rows = storage.archive.measurements("craft", ListPart(Window(0, 1 << 60), count))
         outcomes = [Outcome(tuple(result(row, method, random) for method in LIVE_METHODS), None) for row in rows[:2000]]
         storage.results.save_outcomes("craft", "live", outcomes, head.newest_number, head.newest_epoch_us)
 

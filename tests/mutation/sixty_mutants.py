@@ -133,7 +133,7 @@ RELEASE = (
 )
 ARCHIVE = (
     # the newest row, sent again, is stored twice or fails
-    Mutant("sort_rows", "prepared.epochs_us[0] > newest_us", "prepared.epochs_us[0] >= newest_us"),
+    Mutant("PreparedBatch.is_beyond", "self.epochs_us[0] > epoch_us", "self.epochs_us[0] >= epoch_us"),
     # other content for a stored row passes as a duplicate
     Mutant("sort_rows", "elif earlier == content:", "elif earlier is not content:"),
     # a row behind the consumed ones counts as in time
@@ -142,8 +142,8 @@ ARCHIVE = (
     Mutant("_swap", "if (found or 0) != version:", "if (found or 0) < version:"),
     # a former leader writes on
     Mutant("FileLeases.under", "if self._is_wanted and not", "if not self._is_wanted and not"),
-    # content does not enter the checksum of a sealed day
-    Mutant("opened", '"content": content}', '"content": None}'),
+    # a sealed day is not compared with its checksum
+    Mutant("opened", "row is None or not agrees(segment_table, row)", "row is None"),
     # rows of one epoch are lost where a page ends between them
     Mutant("newest_rows", "before[0] + 1", "before[0]"),
     Mutant("SequenceNumbers._advanced", "block.first - tail.last - 1", "block.first - tail.last"),

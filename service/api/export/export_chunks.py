@@ -12,6 +12,7 @@ from typing import NamedTuple, Protocol, TypeVar, cast
 import numpy as np
 
 from service.formats.tabular.series_tables import JoinedRow
+from service.ports.archive import ListPart
 from service.ports.storage import Storage
 from service.records.calibration import Window
 from service.records.catalogue import Method
@@ -44,19 +45,23 @@ Chunk = MeasurementBlock | RecordPage
 D = TypeVar("D", bound=Dated)
 
 
-def pages_of(read: Callable[[tuple[int, int] | None], Sequence[D]], number_of: Callable[[D], int]) -> Iterator[Chunk]:
-    """Yield records page by page until one is short.
+def pages_of(
+    read: Callable[[ListPart], Sequence[D]], window: Window, number_of: Callable[[D], int] = attrgetter("number")
+) -> Iterator[Chunk]:
+    """Yield the records of a window page by page until one is short.
 
     Parameters
     ----------
     read : callable
-        Gives at most ``PAGE_ROWS`` records beyond a place (epoch, number).
+        Gives the records of a part of the list.
+    window : Window
+        Where they are.
     number_of : callable
         Gives the number of a record.
     """
     after: tuple[int, int] | None = None
     while True:
-        records = read(after)
+        records = read(ListPart(window, PAGE_ROWS, after))
         if records:
             yield record_page(records)
         if len(records) < PAGE_ROWS:
@@ -122,8 +127,8 @@ def joined_rows(source: JoinedSource, window: Window, carriers: int) -> Iterator
     carriers : int
         Columns of powers; more of them make shorter pages.
     """
-    read = partial(source.storage.archive.measurements, source.spacecraft_id, window, PAGE_ROWS)
-    rows = (row for row in _all(read) if row.plan_id in source.plan_ids)
+    read = partial(source.storage.archive.measurements, source.spacecraft_id)
+    rows = (row for row in _all(read, window) if row.plan_id in source.plan_ids)
     size = min(PAGE_ROWS, PAGE_POWERS // max(carriers, 1) + 1)
     while page := list(islice(rows, size)):
         yield record_page(_joined(source, page))
@@ -134,13 +139,13 @@ def _joined(source: JoinedSource, page: Sequence[Measurement]) -> list[JoinedRow
     results, of = source.storage.results, (source.spacecraft_id, source.version)
     window = Window(page[0].epoch_us, page[-1].epoch_us + 1)
     carriers = results.carrier_results(*of, source.method, window)
-    rows = _all(partial(results.attitude_rows, *of, source.method, window, PAGE_ROWS))
+    rows = _all(partial(results.attitude_rows, *of, source.method), window)
     attitude = {(row.epoch_us, row.number): row for row in rows}
     numbers = {row.number for row in page}
     commands = {
         command.number: command
         for span in _command_spans(page)
-        for command in _all(partial(results.commands, *of, span, PAGE_ROWS))
+        for command in _all(partial(results.commands, *of), span)
         if command.number in numbers
     }
     keys = ((row.epoch_us, row.number) for row in page)
@@ -162,9 +167,9 @@ def _command_spans(page: Sequence[Measurement]) -> list[Window]:
     return [measured, received]
 
 
-def _all(read: Callable[[tuple[int, int] | None], Sequence[N]]) -> Iterator[N]:
+def _all(read: Callable[[ListPart], Sequence[N]], window: Window) -> Iterator[N]:
     """Yield every record that a reader of pages gives."""
-    pages = cast("Iterator[RecordPage]", pages_of(read, attrgetter("number")))
+    pages = cast("Iterator[RecordPage]", pages_of(read, window))
     return (record for page in pages for record in cast("Sequence[N]", page.records))
 
 

@@ -7,6 +7,7 @@ into them, so that the same span of a past day is the same file for ever; see de
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from heapq import merge
 from itertools import islice
 from typing import Any, Literal, NamedTuple, cast
@@ -24,7 +25,7 @@ from service.api.export.export_chunks import (
 )
 from service.errors import InvalidInputError, NotFoundError
 from service.formats.ccsds import AemWriter, AttitudeMessage
-from service.formats.tabular.measurement_file import MeasurementColumns, file_bytes, measurement_file
+from service.formats.tabular.measurement_file import MeasurementColumns, measurement_bytes
 from service.formats.tabular.series_tables import (
     ATTITUDE,
     EVENTS,
@@ -38,7 +39,7 @@ from service.formats.tabular.series_tables import (
 )
 from service.formats.tabular.table_file import SeriesTable, TableFormat, table_bytes
 from service.formats.tdm import TdmWriter, TrackingMessage
-from service.ports.archive import LIVE
+from service.ports.archive import LIVE, ListPart
 from service.records.calibration import Window
 from service.records.catalogue import Method
 from service.records.inputs import KIND_OF, JournalEntry
@@ -180,8 +181,8 @@ class _Maker:
             return read_ahead(block for block in blocks if block.plan_id in plan_ids)
 
         def write(chunks: Iterable[Chunk], _: Window) -> Iterator[bytes]:
-            file = measurement_file(columns, cast("TableFormat", self._format))
-            return file_bytes(file, cast("Iterable[MeasurementBlock]", chunks))
+            blocks = cast("Iterable[MeasurementBlock]", chunks)
+            return measurement_bytes(columns, cast("TableFormat", self._format), blocks)
 
         return ArchiveFile("measurements", parameters, read, write)
 
@@ -192,10 +193,7 @@ class _Maker:
         parameters = (("method", method.value), ("version", version))
 
         def read(window: Window) -> Iterator[Chunk]:
-            return pages_of(
-                lambda after: results.attitude_rows(self._sc, version, method, window, PAGE_ROWS, after),
-                lambda row: row.number,
-            )
+            return pages_of(partial(results.attitude_rows, self._sc, version, method), window)
 
         def write_aem(chunks: Iterable[Chunk], part: Window) -> Iterator[bytes]:
             name, object_id = spacecraft.name, spacecraft.cospar_id or spacecraft.id
@@ -219,10 +217,7 @@ class _Maker:
         results, version = self._context.storage.results, self._version()
 
         def read(window: Window) -> Iterator[Chunk]:
-            return pages_of(
-                lambda after: results.commands(self._sc, version, window, PAGE_ROWS, after),
-                lambda row: row.number,
-            )
+            return pages_of(partial(results.commands, self._sc, version), window)
 
         return ArchiveFile(f"torques_{version}", (("version", version),), read, self._table(TORQUES))
 
@@ -262,7 +257,7 @@ class _Maker:
         """Yield the slow inputs of a kind in order of (start, number)."""
         after: tuple[int, int] | None = None
         while True:
-            page = self._context.storage.archive.inputs(self._sc, kind, window, PAGE_ROWS, after)
+            page = self._context.storage.archive.inputs(self._sc, kind, ListPart(window, PAGE_ROWS, after))
             yield from page
             if len(page) < PAGE_ROWS:
                 return
@@ -272,7 +267,7 @@ class _Maker:
         """Yield the alarms that were raised, in order of (raised, id)."""
         after: tuple[int, int] | None = None
         while True:
-            page = self._context.storage.alarms.alarms(self._sc, (), window, PAGE_ROWS, after)
+            page = self._context.storage.alarms.alarms(self._sc, (), ListPart(window, PAGE_ROWS, after))
             yield from map(_alarm_event, page)
             if len(page) < PAGE_ROWS:
                 return
@@ -280,7 +275,7 @@ class _Maker:
 
     def _measurement_rows(self, window: Window) -> Iterator[Chunk]:
         archive = self._context.storage.archive
-        return pages_of(lambda after: archive.measurements(self._sc, window, PAGE_ROWS, after), lambda row: row.number)
+        return pages_of(partial(archive.measurements, self._sc), window)
 
     def _tdm(self, chunks: Iterable[Chunk], part: Window) -> Iterator[bytes]:
         catalogue = self._context.storage.catalogue

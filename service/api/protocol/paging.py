@@ -21,6 +21,7 @@ from pydantic import BaseModel
 
 from service.api.problems.problems import invalid_request
 from service.errors import FieldError
+from service.ports.archive import ListPart
 from service.records.calibration import Window
 from service.records.epoch import EARLIEST_EPOCH_US, LATEST_EPOCH_US, parse_epoch
 
@@ -51,6 +52,11 @@ class PageQuery:
     def most(self) -> int:
         """Rows to be read: one more than the page has tells that there is a next page."""
         return self.limit + 1
+
+    @property
+    def part(self) -> ListPart:
+        """Rows to be read, as the archive is asked for them."""
+        return ListPart(self.window, self.most, self.after, newest_first=self.newest_first)
 
     def cut(self, found: Sequence[T], position: Callable[[T], Position]) -> tuple[Sequence[T], str | None]:
         """Return the rows of the page and the cursor of the next, and set the Link header.

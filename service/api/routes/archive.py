@@ -33,7 +33,7 @@ from service.api.schemas.base import PlanNumber, WindowAnswer
 from service.api.views.timeline import Timeline
 from service.core.rows import Gap, GapSearch, SampleBins, Summaries, whole_intervals
 from service.errors import FieldError
-from service.ports.archive import ATTITUDE_FIGURES, LIVE, MeasuredFigure
+from service.ports.archive import ATTITUDE_FIGURES, LIVE, ListPart, MeasuredFigure
 from service.records.calibration import Window
 from service.records.catalogue import LIVE_METHODS, Method
 from service.records.epoch import format_epoch
@@ -320,7 +320,7 @@ def list_gaps(
 ) -> GapsAnswer:
     """List where rows are missing: of one source, or of those that feed the estimator."""
     archive, window = context.storage.archive, window_of(start, stop, EVERYTHING)
-    first = archive.measurements(spacecraft_id, EVERYTHING, 1, None, source)
+    first = archive.measurements(spacecraft_id, ListPart(EVERYTHING, 1), source)
     now_us = context.clock.now_us(spacecraft_id)
     # nothing is missing before the first row of all, nor after now
     start_us = max(window.start_us, first[0].epoch_us) if first else window.start_us
@@ -368,12 +368,12 @@ def _closed(
     starts_us: list[int] = []
     stops_us: list[int] = []
     if source is None:
-        firsts = [storage.results.attitude_rows(spacecraft_id, version, each, window, 1, None) for each in methods]
+        firsts = [storage.results.attitude_rows(spacecraft_id, version, each, ListPart(window, 1)) for each in methods]
         newest = [storage.results.newest_attitude(spacecraft_id, version, each) for each in methods]
         starts_us += [rows[0].epoch_us for rows in firsts if rows]
         stops_us += [row.epoch_us + 1 for row in newest if row is not None]
     if version == LIVE or source is not None:
-        starts_us += [row.epoch_us for row in storage.archive.measurements(spacecraft_id, window, 1, None, source)]
+        starts_us += [row.epoch_us for row in storage.archive.measurements(spacecraft_id, ListPart(window, 1), source)]
         sources = [each for each in storage.archive.sources(spacecraft_id) if source in {None, each.id}]
         stops_us += [each.newest_epoch_us + 1 for each in sources if each.newest_epoch_us is not None]
     start_us = window.start_us if ends[0] is not None else min(starts_us, default=window.start_us)
@@ -454,7 +454,9 @@ def _measured_pages(request: _Request) -> Iterator[list[Measurement]]:
     """Yield the measured rows of the span, some at a time; refuse a span that holds too many of them."""
     after, left = None, _EXPECTED_ROWS
     archive = request.context.storage.archive
-    while rows := archive.measurements(request.spacecraft_id, request.window, min(_PAGE_ROWS, left + 1), after):
+    while rows := archive.measurements(
+        request.spacecraft_id, ListPart(request.window, min(_PAGE_ROWS, left + 1), after)
+    ):
         left -= len(rows)
         if left < 0:
             detail = f"expected_dbm is computed from the rows, and the range holds more than {_EXPECTED_ROWS}"

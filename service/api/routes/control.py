@@ -82,7 +82,7 @@ def list_attitude(
 ) -> AttitudePage:
     """List attitude rows in order of epoch, exactly one a measurement and method."""
     read = context.storage.results.attitude_rows
-    found = read(spacecraft_id, version, method, page.window, page.most, page.after, newest_first=page.newest_first)
+    found = read(spacecraft_id, version, method, page.part)
     of = partial(AttitudeAnswer.of, version=version)
     return page.answer(AttitudePage, found, by_epoch, of, method=method, version=version)
 
@@ -91,7 +91,7 @@ def list_attitude(
 def list_smoothed(spacecraft_id: SpacecraftId, page: Page, context: Context) -> SmoothedPage:
     """List smoothed rows in order of epoch, one each five minutes, made when the data reach the lag beyond them."""
     read, method = context.storage.results.attitude_rows, Method.ROBUST_SMOOTHED
-    found = read(spacecraft_id, SMOOTHED, method, page.window, page.most, page.after, newest_first=page.newest_first)
+    found = read(spacecraft_id, SMOOTHED, method, page.part)
     of = partial(AttitudeAnswer.of, version=SMOOTHED)
     return page.answer(SmoothedPage, found, by_epoch, of, method=method, version=SMOOTHED)
 
@@ -111,9 +111,7 @@ def list_carrier_results(
 ) -> CarrierResultPage:
     """List what a method made of one carrier at every measurement, in order of epoch."""
     results = context.storage.results
-    found = results.attitude_rows(
-        spacecraft_id, version, method, page.window, page.most, page.after, newest_first=page.newest_first
-    )
+    found = results.attitude_rows(spacecraft_id, version, method, page.part)
     ends = sorted((found[0].epoch_us, found[-1].epoch_us)) if found else (0, -1)
     window = Window(ends[0], ends[1] + 1)
     stored = results.carrier_results(spacecraft_id, version, method, window)
@@ -264,8 +262,7 @@ def prepare_torques(
 def list_commands(spacecraft_id: SpacecraftId, page: Page, context: Context) -> CommandPage:
     """List commands that were prepared in the range, in order of their preparation."""
     context.storage.catalogue.spacecraft(spacecraft_id)
-    read = context.storage.releases.commands
-    found = read(spacecraft_id, page.window, page.most, page.after, newest_first=page.newest_first)
+    found = context.storage.releases.commands(spacecraft_id, page.part)
     return page.answer(CommandPage, found, attrgetter("prepared_us", "counter"), CommandAnswer.of)
 
 
@@ -365,5 +362,5 @@ def get_torques(spacecraft_id: SpacecraftId, context: Context) -> NewestTorqueAn
 def list_torques(spacecraft_id: SpacecraftId, version: WantedVersion, page: Page, context: Context) -> TorquePage:
     """List computed commands in order of epoch."""
     read = context.storage.results.commands
-    found = read(spacecraft_id, version, page.window, page.most, page.after, newest_first=page.newest_first)
+    found = read(spacecraft_id, version, page.part)
     return page.answer(TorquePage, found, by_epoch, TorqueAnswer.of, version=version)

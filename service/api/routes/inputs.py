@@ -275,7 +275,7 @@ def input_page(
 ) -> M:
     """Return the page of inputs of a kind."""
     read = context.storage.archive.inputs
-    entries = read(spacecraft_id, kind, page.window, page.most, page.after, newest_first=page.newest_first)
+    entries = read(spacecraft_id, kind, page.part)
     return page.answer(model, entries, _position, lambda entry: row.of(entry.content))
 
 

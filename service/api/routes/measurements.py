@@ -77,7 +77,7 @@ def list_measurements(
 ) -> MeasurementPage:
     """List rows of carrier powers of every source in order of epoch."""
     read = context.storage.archive.measurements
-    found = read(spacecraft_id, page.window, page.most, page.after, source, newest_first=page.newest_first)
+    found = read(spacecraft_id, page.part, source)
     wanted = None if carrier is None else frozenset(carrier)
 
     def of(row: Measurement) -> MeasurementAnswer:
@@ -246,7 +246,7 @@ def list_traces(
 ) -> TracePage:
     """List kept traces, without their points, in order of epoch."""
     read = context.storage.traces.heads
-    found = read(spacecraft_id, page.window, page.most, page.after, source, sweep, newest_first=page.newest_first)
+    found = read(spacecraft_id, page.part, source, sweep)
     return page.answer(TracePage, found, by_epoch, TraceHeadAnswer.of)
 
 

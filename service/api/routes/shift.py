@@ -154,7 +154,7 @@ def list_alarms(
     context.storage.catalogue.spacecraft(spacecraft_id)
     states = state or ["open"]
     read = context.storage.alarms.alarms
-    found = read(spacecraft_id, states, page.window, page.most, page.after, newest_first=page.newest_first)
+    found = read(spacecraft_id, states, page.part)
     return page.answer(AlarmPage, found, lambda alarm: (alarm.raised_at_us, alarm.id), partial(_reported, context))
 
 
@@ -313,7 +313,7 @@ def write_note(
 def list_notes(page: Page, context: Context, spacecraft_id: NotesOfSpacecraft = None) -> NotePage:
     """List notes about instants of the range."""
     read = context.storage.notes.notes
-    found = read(page.window, page.most, page.after, spacecraft_id, newest_first=page.newest_first)
+    found = read(page.part, spacecraft_id)
     return page.answer(NotePage, found, lambda note: (note.epoch_us, note.id), NoteAnswer.of)
 
 

@@ -24,7 +24,7 @@ from service.api.schemas.measurements import MeasurementAnswer
 from service.api.schemas.shift import AlarmChangeAnswer, NoteAnswer, StatusAnswer
 from service.api.views.present import link_answers, status_of
 from service.errors import FieldError
-from service.ports.archive import LIVE, SMOOTHED
+from service.ports.archive import LIVE, SMOOTHED, ListPart
 from service.ports.storage import Storage
 from service.records.catalogue import Method
 from service.records.epoch import format_epoch
@@ -332,7 +332,7 @@ class PresentRecords:
 
 
 def _commands(context: ApiContext, spacecraft_id: str) -> Records:
-    found = context.storage.releases.commands(spacecraft_id, EVERYTHING, _NEWEST, None, newest_first=True)
+    found = context.storage.releases.commands(spacecraft_id, ListPart(EVERYTHING, _NEWEST, newest_first=True))
     return {command.counter: _record(CommandAnswer.of(command)) for command in found}
 
 
@@ -353,7 +353,9 @@ def _notes(context: ApiContext, spacecraft_id: str) -> Records:
 
 def _smoothed(context: ApiContext, spacecraft_id: str) -> Records:
     read = context.storage.results.attitude_rows
-    found = read(spacecraft_id, SMOOTHED, Method.ROBUST_SMOOTHED, EVERYTHING, _NEWEST_SMOOTHED, None, newest_first=True)
+    found = read(
+        spacecraft_id, SMOOTHED, Method.ROBUST_SMOOTHED, ListPart(EVERYTHING, _NEWEST_SMOOTHED, newest_first=True)
+    )
     # oldest first, as they are sent
     return {row.epoch_us: _record(AttitudeAnswer.of(row, SMOOTHED)) for row in reversed(found)}
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
 from service.api.context import ApiContext
@@ -25,7 +24,7 @@ from service.pipeline.control.command.compute_command import ended_command
 from service.pipeline.control.release.control_verdict import ControlVerdict, ControlView, control_verdict
 from service.pipeline.control.situation import RATE_WINDOW_S, SpacecraftSituation, recent_rate, situation_of
 from service.pipeline.estimation.robust.attitude_rows import ADVICE
-from service.ports.archive import LIVE
+from service.ports.archive import LIVE, ListPart
 from service.ports.storage import ClockReading
 from service.records.calibration import CalibrationState, Window
 from service.records.catalogue import Method, Spacecraft
@@ -237,8 +236,8 @@ class SpacecraftNow:
             rows = (*rows, *(each for each in tail if (each.epoch_us, each.number) > last))
         else:
             window = Window(start_us, row.epoch_us + 1)
-            newest_first = partial(read, self._id, LIVE, row.method, window, _RATE_ROWS, None, newest_first=True)
-            rows = _readable(lambda: tuple(newest_first()))[::-1]
+            newest_first = ListPart(window, _RATE_ROWS, newest_first=True)
+            rows = _readable(lambda: tuple(read(self._id, LIVE, row.method, newest_first)))[::-1]
         rows = tuple(each for each in rows[-_RATE_ROWS:] if each.epoch_us >= start_us)
         self._context.memory.put(self._id, name, start_us, rows)
         return rows
@@ -248,9 +247,9 @@ class SpacecraftNow:
         start_us = until_us - round(RATE_WINDOW_S * US_PER_S)
 
         def commanded() -> tuple[Correction | ReleasedCommand, ...]:
-            read = partial(self._storage.archive.inputs, self._id, newest_first=True)
-            kinds, later = ("correction", "released_command"), Window(start_us, _EVER_US)
-            contents = (entry.content for kind in kinds for entry in read(kind, later, _MOTIONS, None))
+            later = ListPart(Window(start_us, _EVER_US), _MOTIONS, newest_first=True)
+            read, kinds = self._storage.archive.inputs, ("correction", "released_command")
+            contents = (entry.content for kind in kinds for entry in read(self._id, kind, later))
             return tuple(each for each in contents if isinstance(each, Correction | ReleasedCommand))
 
         # applied commands are inputs too: the chain, which tells them apart, spares a look after each
@@ -521,7 +520,7 @@ def _sources(context: ApiContext, spacecraft_id: str) -> list[HandoverSourceAnsw
 def _operations(context: ApiContext, spacecraft_id: str, now_us: int) -> list[OperationAnswer]:
     """Return the operations in force or near."""
     window = Window(now_us, now_us + _DAY_US)
-    entries = context.storage.archive.inputs(spacecraft_id, "operation", window, _OPERATIONS, None)
+    entries = context.storage.archive.inputs(spacecraft_id, "operation", ListPart(window, _OPERATIONS))
     return [OperationAnswer.of(entry.content) for entry in entries if isinstance(entry.content, Operation)]
 
 

@@ -19,6 +19,7 @@ from service.api.schemas.base import WindowAnswer
 from service.api.schemas.inputs import CorrectionAnswer, OperationAnswer
 from service.api.schemas.shift import AlarmAnswer, NoteAnswer
 from service.core.rows import History, StateRun, coarsened
+from service.ports.archive import ListPart
 from service.records.calibration import Window
 from service.records.catalogue import Method
 from service.records.epoch import US_PER_S
@@ -65,7 +66,7 @@ class Timeline:
     def _expected(self) -> Window | None:
         """Return the part of the span in which rows may be: from the first row of all until now, or the newest."""
         archive = self.context.storage.archive
-        first = archive.measurements(self.spacecraft_id, EVERYTHING, 1, None)
+        first = archive.measurements(self.spacecraft_id, ListPart(EVERYTHING, 1))
         if not first:
             return None
         newest_us = [each.newest_epoch_us for each in archive.sources(self.spacecraft_id)]
@@ -87,14 +88,14 @@ class Timeline:
         return list(read[name]())
 
     def _inputs(self, kind: str, answer_of: Callable[[Any], Any]) -> Iterator[Any]:
-        entries = self.context.storage.archive.inputs(self.spacecraft_id, kind, self.window, MOST + 1, None)
+        entries = self.context.storage.archive.inputs(self.spacecraft_id, kind, ListPart(self.window, MOST + 1))
         return (answer_of(entry.content) for entry in entries)
 
     def _activations(self) -> Iterator[ActivationAnswer]:
         """Yield activations; when they were is the newest row of that moment."""
         storage = self.context.storage
         methods = {each.id: each.request.method.value for each in storage.results.calibrations(self.spacecraft_id)}
-        for entry in storage.archive.inputs(self.spacecraft_id, "activation", self.window, MOST + 1, None):
+        for entry in storage.archive.inputs(self.spacecraft_id, "activation", ListPart(self.window, MOST + 1)):
             activated: Any = entry.content
             method = methods.get(activated.calibration_id, "")
             yield ActivationAnswer.model_validate(
@@ -103,7 +104,7 @@ class Timeline:
 
     def _commands(self) -> Iterator[TimelineCommandAnswer]:
         window = Window(self.window.start_us - _DAY_US, self.window.stop_us)
-        for command in self.context.storage.releases.commands(self.spacecraft_id, window, MOST + 1, None):
+        for command in self.context.storage.releases.commands(self.spacecraft_id, ListPart(window, MOST + 1)):
             if self._reaches(command):
                 yield TimelineCommandAnswer.of(command, id=command.counter)
 
@@ -113,17 +114,17 @@ class Timeline:
         before = Window(EVERYTHING.start_us, start_us)
         # of those closed since, the newest: what was raised before so many others is not looked for
         earlier = {
-            each.id: each for each in alarms.alarms(self.spacecraft_id, (), before, MOST, None, newest_first=True)
+            each.id: each for each in alarms.alarms(self.spacecraft_id, (), ListPart(before, MOST, newest_first=True))
         }
         for about in (self.spacecraft_id, None):
             earlier |= {each.id: each for each in alarms.open_alarms(about) if each.raised_at_us < start_us}
         lasting = [each for each in earlier.values() if each.ended_us is None or each.ended_us >= start_us]
         lasting.sort(key=lambda each: (each.raised_at_us, each.id))
-        raised: list[Alarm] = alarms.alarms(self.spacecraft_id, (), self.window, MOST + 1, None)
+        raised: list[Alarm] = alarms.alarms(self.spacecraft_id, (), ListPart(self.window, MOST + 1))
         return (AlarmAnswer.of(each) for each in (*lasting, *raised) if each.cause is None)
 
     def _notes(self) -> Iterator[NoteAnswer]:
-        found = self.context.storage.notes.notes(self.window, MOST + 1, None, self.spacecraft_id)
+        found = self.context.storage.notes.notes(ListPart(self.window, MOST + 1), self.spacecraft_id)
         return (NoteAnswer.of(each) for each in found)
 
     def _holds(self, epoch_us: int) -> bool:

@@ -7,13 +7,13 @@ back to the stored float32 bit for bit. Memory is that of one block.
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any, Literal, Protocol
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.formats.numbers import csv_field
-from service.formats.tabular.parquet_stream import GROUP_ROWS, ParquetStream
+from service.formats.tabular.parquet_stream import ParquetStream
+from service.formats.tabular.table_file import TableFormat
 from service.records.csv_guard import guarded
 from service.records.levels.attitude import IntArray
 from service.records.levels.measurement import Float32Array, MeasurementBlock
@@ -61,39 +61,57 @@ class MeasurementColumns:
         return self._positions[plan_id]
 
 
-class MeasurementFile(Protocol):
-    """Writer of one file."""
-
-    def begin(self) -> bytes:
-        """Return what stands before the first row."""
-
-    def rows(self, block: MeasurementBlock) -> bytes:
-        """Return what a block adds; may be empty when it is held back."""
-
-    def end(self) -> bytes:
-        """Return what stands after the last row."""
-
-
-def file_bytes(file: MeasurementFile, blocks: Iterable[MeasurementBlock]) -> Iterator[bytes]:
-    """Yield a whole file, piece by piece; empty pieces are left out."""
-    if start := file.begin():
-        yield start
-    for block in blocks:
-        if chunk := file.rows(block):
-            yield chunk
-    if end := file.end():
-        yield end
-
-
-class TextFile:
-    """Rows as lines of text: epoch, source, levels with the fewest digits that read back, between fixed pieces.
+def measurement_bytes(
+    columns: MeasurementColumns, file_format: TableFormat, blocks: Iterable[MeasurementBlock]
+) -> Iterator[bytes]:
+    """Yield a whole file, piece by piece.
 
     Parameters
     ----------
     columns : MeasurementColumns
         Columns of the file.
-    header : bytes
-        Text before the first row.
+    file_format : str
+        ``csv`` by RFC 4180, empty cells for what is absent; ``ndjson``, one JSON object a line, null for what is
+        absent; ``parquet``, timestamps in UTC, float32 levels, null for what is absent, zstd.
+    blocks : iterable of MeasurementBlock
+        Rows.
+    """
+    return {"csv": _csv, "ndjson": _ndjson, "parquet": _parquet}[file_format](columns, blocks)
+
+
+def _csv(columns: MeasurementColumns, blocks: Iterable[MeasurementBlock]) -> Iterator[bytes]:
+    yield ",".join(csv_field(guarded(name)) for name in columns.names).encode() + b"\r\n"
+
+    def source_text(name: str) -> str:
+        return "," + csv_field(guarded(name))
+
+    for block in blocks:
+        yield _lines(columns, block, "", source_text, [","] * len(columns.carriers), "", "\r\n")
+
+
+def _ndjson(columns: MeasurementColumns, blocks: Iterable[MeasurementBlock]) -> Iterator[bytes]:
+    leads = [f",{json.dumps(name)}:" for name in columns.names[2:]]
+
+    def source_text(name: str) -> str:
+        return f'","source":{json.dumps(name)}'
+
+    for block in blocks:
+        yield _lines(columns, block, '{"epoch":"', source_text, leads, "null", "}\n")
+
+
+def _lines(
+    columns: MeasurementColumns,
+    block: MeasurementBlock,
+    before: str,
+    source_text: Callable[[str], str],
+    leads: Sequence[str],
+    absent: str,
+    after: str,
+) -> bytes:
+    """Return rows as lines of text: epoch, source, levels with the fewest digits that read back, between fixed pieces.
+
+    Parameters
+    ----------
     before, after : str
         Text before the epoch and behind the last level of a row.
     source_text : callable
@@ -103,143 +121,41 @@ class TextFile:
     absent : str
         Text in place of an absent level.
     """
+    # 90 ms that only files need
+    import pyarrow as pa
+    from pyarrow import compute
 
-    def __init__(
-        self,
-        columns: MeasurementColumns,
-        header: bytes,
-        before: str,
-        source_text: Callable[[str], str],
-        leads: Sequence[str],
-        absent: str,
-        after: str,
-    ) -> None:
-        self._columns = columns
-        self._header = header
-        self._before, self._after = before, after
-        self._source_text, self._leads, self._absent = source_text, leads, absent
-
-    def begin(self) -> bytes:
-        """Return the header."""
-        return self._header
-
-    def rows(self, block: MeasurementBlock) -> bytes:
-        """Return one line a row."""
-        # 90 ms that only files need
-        import pyarrow as pa
-        from pyarrow import compute
-
-        epochs = compute.strftime(pa.array(block.epochs_us).cast(pa.timestamp("us")), format="%Y-%m-%dT%H:%M:%SZ")
-        positions = np.zeros(len(epochs), np.int64) if block.source_positions is None else block.source_positions
-        pieces = [self._before, epochs, pa.array(map(self._source_text, block.sources)).take(pa.array(positions))]
-        for lead, level_dbm in zip(self._leads, self._columns.values(block).T, strict=True):
-            pieces += [lead, pa.array(level_dbm, from_pandas=True).cast(pa.string())]
-        lines = compute.binary_join_element_wise(
-            *pieces, self._after, "", null_handling="replace", null_replacement=self._absent
-        )
-        _, ends, text = lines.buffers()
-        return bytes(memoryview(text)[: np.frombuffer(ends, np.int32)[len(lines)]])
-
-    def end(self) -> bytes:
-        """Return nothing."""
-        return b""
+    epochs = compute.strftime(pa.array(block.epochs_us).cast(pa.timestamp("us")), format="%Y-%m-%dT%H:%M:%SZ")
+    pieces = [before, epochs, _of_sources(block, map(source_text, block.sources))]
+    for lead, level_dbm in zip(leads, columns.values(block).T, strict=True):
+        pieces += [lead, pa.array(level_dbm, from_pandas=True).cast(pa.string())]
+    lines = compute.binary_join_element_wise(*pieces, after, "", null_handling="replace", null_replacement=absent)
+    _, ends, text = lines.buffers()
+    return bytes(memoryview(text)[: np.frombuffer(ends, np.int32)[len(lines)]])
 
 
-def csv_file(columns: MeasurementColumns) -> TextFile:
-    """Return the writer of CSV by RFC 4180, empty cells for what is absent."""
-    header = ",".join(csv_field(guarded(name)) for name in columns.names).encode() + b"\r\n"
-    leads = [","] * len(columns.carriers)
-    return TextFile(columns, header, "", lambda source: "," + csv_field(guarded(source)), leads, "", "\r\n")
+def _of_sources(block: MeasurementBlock, texts: Iterable[str]) -> Any:
+    """Return the text of each row's source as an array of pyarrow."""
+    import pyarrow as pa
+
+    positions = np.zeros(len(block.epochs_us), np.int64) if block.source_positions is None else block.source_positions
+    return pa.array(texts, pa.string()).take(pa.array(positions))
 
 
-def ndjson_file(columns: MeasurementColumns) -> TextFile:
-    """Return the writer of one JSON object a line, null for what is absent."""
-    leads = [f",{json.dumps(name)}:" for name in columns.names[2:]]
-    return TextFile(columns, b"", '{"epoch":"', lambda source: f'","source":{json.dumps(source)}', leads, "null", "}\n")
+def _parquet(columns: MeasurementColumns, blocks: Iterable[MeasurementBlock]) -> Iterator[bytes]:
+    # 90 ms that only Parquet needs
+    import pyarrow as pa
 
-
-class ParquetFile:
-    """Parquet: timestamps in UTC, float32 levels, null for what is absent; zstd.
-
-    Blocks are held until they make a group of rows: how rows came leaves no trace in the file, and each array that
-    pyarrow makes costs a turn at Python's lock, which the reader of the next blocks wants too.
-    """
-
-    def __init__(self, columns: MeasurementColumns) -> None:
-        # 90 ms that only Parquet needs
-        import pyarrow as pa
-
-        self._columns = columns
-        self._pa: Any = pa
-        fields = [pa.field("epoch", pa.timestamp("us", tz="UTC"), nullable=False)]
-        fields.append(pa.field("source", pa.dictionary(pa.int32(), pa.string()), nullable=False))
-        fields += [pa.field(name, pa.float32()) for name in columns.names[2:]]
-        self._schema: Any = pa.schema(fields)
-        self._stream = ParquetStream(self._schema, ("source",))
-        self._held: list[MeasurementBlock] = []
-        self._held_rows = 0
-
-    def begin(self) -> bytes:
-        """Return the mark of the format."""
-        return self._stream.taken()
-
-    def rows(self, block: MeasurementBlock) -> bytes:
-        """Return the groups of rows that a block completes."""
-        self._held.append(block)
-        self._held_rows += len(block.epochs_us)
-        return b"".join(self._group(GROUP_ROWS) for _ in range(self._held_rows // GROUP_ROWS))
-
-    def end(self) -> bytes:
-        """Return the last group and the index."""
-        return (self._group(self._held_rows) if self._held_rows else b"") + self._stream.end()
-
-    def _group(self, rows: int) -> bytes:
-        """Write the first rows of those that are held."""
-        blocks, missing = [], rows
-        while missing:
-            block = self._held.pop(0)
-            if len(block.epochs_us) > missing:
-                self._held.insert(0, block.part(missing, len(block.epochs_us)))
-                block = block.part(0, missing)
-            blocks.append(block)
-            missing -= len(block.epochs_us)
-        self._held_rows -= rows
-        return self._stream.write_group(self._table(blocks))
-
-    def _table(self, blocks: Sequence[MeasurementBlock]) -> Any:
-        pa = self._pa
-        epochs = pa.array(np.concatenate([block.epochs_us for block in blocks])).cast(self._schema.field(0).type)
-        source = pa.DictionaryArray.from_arrays(*_numbered_sources(blocks))
-        values = [self._columns.values(block) for block in blocks]
-        levels = [
-            pa.array(np.concatenate([part[:, k] for part in values]), from_pandas=True)
-            for k in range(len(self._columns.carriers))
-        ]
-        return pa.Table.from_arrays([epochs, source, *levels], schema=self._schema)
-
-
-def _numbered_sources(blocks: Sequence[MeasurementBlock]) -> tuple[NDArray[np.int32], list[str]]:
-    """Return the number of each row's source, and the sources by number, as they first occur."""
-    numbers: dict[str, int] = {}
-    of_rows = []
+    fields = [pa.field("epoch", pa.timestamp("us", tz="UTC"), nullable=False)]
+    fields.append(pa.field("source", pa.string(), nullable=False))
+    fields += [pa.field(name, pa.float32()) for name in columns.names[2:]]
+    schema: Any = pa.schema(fields)
+    stream = ParquetStream(schema, ("source",))
+    yield stream.taken()
     for block in blocks:
-        positions = (
-            np.zeros(len(block.epochs_us), np.int64) if block.source_positions is None else block.source_positions
-        )
-        found, first = np.unique(positions, return_index=True)
-        table = np.zeros(len(block.sources), dtype=np.int32)
-        for position in found[np.argsort(first)].tolist():
-            table[position] = numbers.setdefault(block.sources[position], len(numbers))
-        of_rows.append(table[positions])
-    return np.concatenate(of_rows), list(numbers)
-
-
-def measurement_file(columns: MeasurementColumns, file_format: Literal["csv", "ndjson", "parquet"]) -> MeasurementFile:
-    """Return the writer of a format."""
-    match file_format:
-        case "csv":
-            return csv_file(columns)
-        case "ndjson":
-            return ndjson_file(columns)
-        case "parquet":
-            return ParquetFile(columns)
+        levels = [pa.array(level_dbm, from_pandas=True) for level_dbm in columns.values(block).T]
+        epochs = pa.array(block.epochs_us).cast(schema.field(0).type)
+        arrays = [epochs, _of_sources(block, block.sources), *levels]
+        if chunk := stream.add(pa.RecordBatch.from_arrays(arrays, schema=schema)):
+            yield chunk
+    yield stream.end()

@@ -50,11 +50,6 @@ class ParquetStream:
             self._flush()
         return self.taken()
 
-    def write_group(self, group: Any) -> bytes:
-        """Write a table as one group and return its bytes; for who does not add batches."""
-        self._writer.write_table(group, row_group_size=GROUP_ROWS)
-        return self.taken()
-
     def end(self) -> bytes:
         """Return the last group and the index."""
         self._flush(is_last=True)
@@ -71,7 +66,7 @@ class ParquetStream:
     def _merge(self) -> None:
         """Make one batch of those that came last."""
         table = self._pa.Table.from_batches(self._fresh, schema=self._schema)
-        self._held += table.unify_dictionaries().combine_chunks().to_batches()
+        self._held += table.combine_chunks().to_batches()
         self._fresh = []
 
     def _flush(self, *, is_last: bool = False) -> None:
@@ -79,7 +74,7 @@ class ParquetStream:
         table = self._pa.Table.from_batches([*self._held, *self._fresh], schema=self._schema)
         self._fresh, start = [], 0
         while table.num_rows - start >= self._group_rows or (is_last and start < table.num_rows):
-            group = table.slice(start, self._group_rows).unify_dictionaries().combine_chunks()
+            group = table.slice(start, self._group_rows).combine_chunks()
             self._writer.write_table(group, row_group_size=self._group_rows)
             start += self._group_rows
         self._held = table.slice(start).to_batches() if start < table.num_rows else []

@@ -44,6 +44,7 @@ from service.pipeline.control.release.interlock_conditions import (
 )
 from service.pipeline.control.release.sign_checks import is_running
 from service.pipeline.inputs.knowledge import has_body_rate
+from service.ports.archive import ListPart
 from service.ports.storage import Audit, Storage
 from service.records.calibration import CalibrationMethod, CalibrationState, Window
 from service.records.catalogue import Method, Release, Spacecraft
@@ -110,7 +111,7 @@ def read_facts(storage: Storage, spacecraft_id: str, now_us: int) -> KnownFacts:
     window = Window(now_us - _OPERATIONS_BACK_US, now_us + _AHEAD_US)
     telemetry = read_telemetry(storage, spacecraft_id, now_us - _TELEMETRY_US)
     as_stored = partial(storage.archive.inputs, is_compared=False)
-    operations = as_stored(spacecraft_id, "operation", window, _AT_ONCE, None)
+    operations = as_stored(spacecraft_id, "operation", ListPart(window, _AT_ONCE))
     inputs = InterlockInputs(
         is_aligned=bool(storage.results.alignments(spacecraft_id)),
         ephemeris_received_us=received_us,
@@ -136,7 +137,7 @@ def _newest_momenta(
     if len(momenta) == 1:
         window = Window(telemetry[0].epoch_us - _BEFORE_US, telemetry[0].epoch_us)
         as_stored = partial(storage.archive.inputs, is_compared=False)
-        for entry in as_stored(spacecraft_id, "telemetry", window, _AT_ONCE, None, newest_first=True):
+        for entry in as_stored(spacecraft_id, "telemetry", ListPart(window, _AT_ONCE, newest_first=True)):
             if isinstance(entry.content, TelemetryRecord) and entry.content.wheel_momentum_n_m_s:
                 momenta.append(entry.content.wheel_momentum_n_m_s)
                 break

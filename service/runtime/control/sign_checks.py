@@ -46,6 +46,7 @@ from service.pipeline.control.release.release_checks import (
     schedule_of,
 )
 from service.pipeline.control.release.sign_checks import RUNNING, is_leg_due, is_running, profile_of
+from service.ports.archive import ListPart
 from service.ports.storage import Releases
 from service.records.calibration import Window
 from service.records.catalogue import ControlMode, Release, Spacecraft
@@ -148,7 +149,7 @@ def swing_left(releases: Releases, spacecraft: Spacecraft, now_us: int) -> Panel
         return None
     swing = None
     window = Window(now_us - _SWING_US, now_us + 1)
-    for command in releases.commands(spacecraft.id, window, _COMMANDS_AT_ONCE, None):
+    for command in releases.commands(spacecraft.id, ListPart(window, _COMMANDS_AT_ONCE)):
         if command.released_us is not None:
             schedule = command.schedule if command.reported_us is None else command.executed
             swing = swing_after(swing, schedule, spacecraft)

@@ -10,6 +10,7 @@ from service.pipeline.calibration.geometry_rows import CalibrationInput
 from service.pipeline.calibration.minute_rows import mean_edges_us, minute_rows
 from service.pipeline.calibration.paper_calibration import calibrate_paper
 from service.pipeline.config import CalibrationConfig
+from service.ports.archive import ListPart
 from service.ports.storage import Clock, Storage
 from service.records.calibration import Calibration, CalibrationMethod, CalibrationRequest, CalibrationState, Window
 from service.records.epoch import US_PER_S
@@ -120,7 +121,7 @@ class CalibrationWork:
         catalogue, archive, request = self._storage.catalogue, self._storage.archive, draft.request
         plan = catalogue.plan(spacecraft_id, draft.plan_id)
         operations = self._operations(spacecraft_id, request)
-        corrections = archive.inputs(spacecraft_id, "correction", request.turns, _MAX_INPUTS, None)
+        corrections = archive.inputs(spacecraft_id, "correction", ListPart(request.turns, _MAX_INPUTS))
         edges_us = mean_edges_us(request, operations)
         start_us, stop_us = request.turns.start_us, request.turns.stop_us
         around = Window(max(0, start_us - _AROUND_US), stop_us + _AROUND_US)
@@ -155,7 +156,10 @@ class CalibrationWork:
         unloadings.
         """
         archive = self._storage.archive
-        read = {each.number: each for each in archive.inputs(spacecraft_id, name, request.turns, _MAX_RECORDS, None)}
+        turns = archive.inputs(spacecraft_id, name, ListPart(request.turns, _MAX_RECORDS))
+        read = {each.number: each for each in turns}
+            each.number: each for each in archive.inputs(spacecraft_id, name, ListPart(request.turns, _MAX_RECORDS))
+        }
         next_us: dict[str, int] = {}
         for entry in every_input(archive, spacecraft_id, name, request.quiet, is_compared=True):
             one = entry.content
@@ -170,7 +174,7 @@ class CalibrationWork:
         """Return the declared operations that overlap a window, each once, by number."""
         found: dict[int, Operation] = {}
         for window in (request.quiet, request.turns):
-            for entry in self._storage.archive.inputs(spacecraft_id, "operation", window, _MAX_INPUTS, None):
+            for entry in self._storage.archive.inputs(spacecraft_id, "operation", ListPart(window, _MAX_INPUTS)):
                 if isinstance(entry.content, Operation):
                     found[entry.content.id] = entry.content
         return tuple(found[number] for number in sorted(found))

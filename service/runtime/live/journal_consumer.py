@@ -11,7 +11,7 @@ from service.pipeline.control.command.control_design import withheld_command
 from service.pipeline.control.release.events import StoredRow
 from service.pipeline.inputs.knowledge import KEPT_US
 from service.pipeline.inputs.polarization import KEPT_US as POLARIZATION_US
-from service.ports.archive import Archive, Outcome, Results
+from service.ports.archive import Archive, ListPart, Outcome, Results
 from service.ports.storage import Catalogue
 from service.records.calibration import Window
 from service.records.catalogue import Release
@@ -120,7 +120,7 @@ def every_input(
     """Yield the slow inputs of a kind that overlap a window, in order of start and number."""
     after: tuple[int, int] | None = None
     while True:
-        page = archive.inputs(spacecraft_id, kind, window, _INPUTS_AT_ONCE, after, is_compared=is_compared)
+        page = archive.inputs(spacecraft_id, kind, ListPart(window, _INPUTS_AT_ONCE, after), is_compared=is_compared)
         yield from page
         if len(page) < _INPUTS_AT_ONCE:
             return

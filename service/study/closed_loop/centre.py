@@ -34,8 +34,8 @@ from service.pipeline.control.release.interlock_conditions import (
     ReleaseSettings,
     microseconds,
 )
+from service.ports.archive import ListPart
 from service.ports.storage import Storage
-from service.records.calibration import Window
 from service.records.catalogue import ControlMode, Release
 from service.records.epoch import US_PER_S
 from service.records.inputs import SlowInput
@@ -96,10 +96,10 @@ class FlightReleases:
             raise NotFoundError("command.unknown", f"no command {counter}")
         return self.by_counter[counter]
 
-    def commands(self, _spacecraft_id: str, window: Window, limit: int, _after: None) -> list[Command]:
+    def commands(self, _spacecraft_id: str, part: ListPart) -> list[Command]:
         """Return commands prepared in a window."""
-        every = self.by_counter.values()
-        return [each for each in every if window.start_us <= each.prepared_us < window.stop_us][:limit]
+        every, window = self.by_counter.values(), part.window
+        return [each for each in every if window.start_us <= each.prepared_us < window.stop_us][: part.limit]
 
     def newest_product(self, _spacecraft_id: str, form: ProductForm) -> UplinkProduct | None:
         """Return the product of a form that was made last."""

@@ -29,7 +29,7 @@ from service.pipeline.config import (
     TorqueConfig,
 )
 from service.pipeline.control.release.interlock_conditions import ReleaseSettings
-from service.ports.archive import LIVE, Outcome
+from service.ports.archive import LIVE, ListPart, Outcome
 from service.records.calibration import (
     Alignment,
     Calibration,
@@ -166,7 +166,7 @@ class Bench:
         receipt = self.storage.archive.append_measurements(batch).result(timeout=120)
         assert receipt.accepted == rows
         window = Window(min(epochs_us), max(epochs_us) + 1)
-        return self.storage.archive.measurements(SC, window, 100_000, None, source)
+        return self.storage.archive.measurements(SC, ListPart(window, 100_000), source)
 
     def consume(self, outcomes: Sequence[Outcome] = (), version: str = LIVE) -> int:
         """Store outcomes as if the chain had consumed all there is."""

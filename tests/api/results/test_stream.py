@@ -274,7 +274,7 @@ async def test_a_resumed_stream_ends_before_a_damaged_row(served, source, bench,
         connection.exec_driver_sql("UPDATE measurement SET delay_us = delay_us + 1")
     with served.open(f"yamal-202:{first.number - 1}.0.0") as response:
         assert b"event: measurement" not in b"".join(response.iter_bytes())
-    assert "storage.corrupt: The measurement of " in caplog.text
+    assert "storage.corrupt: The measurement row of " in caplog.text
 
 
 async def test_one_stream_too_many_is_refused_and_room_comes_back(served, source, bench):

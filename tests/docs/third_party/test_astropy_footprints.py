@@ -11,7 +11,7 @@ from skyfield.api import load
 from skyfield.framelib import itrs
 
 from db.storage import SqlStorage
-from service.ports.archive import LIVE, Outcome
+from service.ports.archive import LIVE, ListPart, Outcome
 from service.records.calibration import Window
 from service.records.catalogue import Carrier, Method, Site, Spacecraft
 from service.records.levels.attitude import Axes, Status, row_without_attitude
@@ -64,7 +64,7 @@ def archive(tmp_path: Path) -> None:
     )
     assert storage.archive.append_measurements(batch).result(120).accepted == count
     window = Window(START_US, int(epochs_us[-1]) + 1)
-    rows = storage.archive.measurements("yamal-202", window, 100, None)
+    rows = storage.archive.measurements("yamal-202", ListPart(window, 100))
     outcomes = []
     for row, angles in zip(rows, [*ANGLES_DEG, None], strict=True):
         found = row_without_attitude(row.epoch_us, row.received_at_us, row.number, Method.ROBUST, ("not_aligned",))

@@ -10,11 +10,11 @@ from geometry_flight import HOUR, MINUTE, START_US, FlightPayload
 from set_clock import SetClock
 from waiting import wait_until as wait_for
 
-from db.encoding.measurement_runs import pack_carriers
+from db.encoding.result_rows import pack_carriers
 from db.results import jobs
 from db.storage import SqlStorage
 from service.pipeline.config import AlignmentConfig, CalibrationConfig, ChainConfig
-from service.ports.archive import LIVE
+from service.ports.archive import LIVE, ListPart
 from service.records.calibration import Window
 from service.records.catalogue import Method, Release
 from service.records.inputs import AttitudeReference, Correction, Operation
@@ -163,7 +163,7 @@ class Station:
 
     def rows(self, method, version=LIVE, start=1, stop=100_000):
         """Return the attitude rows of some minutes."""
-        return self.storage.results.attitude_rows(self.id, version, method, self.window(start, stop), 100_000, None)
+        return self.storage.results.attitude_rows(self.id, version, method, ListPart(self.window(start, stop), 100_000))
 
     def carriers(self, method, version, start, stop):
         found = self.storage.results.carrier_results(SC, version, method, self.window(start, stop))
@@ -171,7 +171,7 @@ class Station:
 
     def commands(self, version=LIVE, start=1, stop=100_000):
         """Return the commands of some minutes."""
-        return self.storage.results.commands(self.id, version, self.window(start, stop), 100_000, None)
+        return self.storage.results.commands(self.id, version, ListPart(self.window(start, stop), 100_000))
 
     def finish(self, job_id):
         """Do jobs until one has ended, and return how it ended."""

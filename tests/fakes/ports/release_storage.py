@@ -70,9 +70,10 @@ class FakeReleases:
             raise NotFoundError("command.unknown", "no such command")
         return self.views[counter]
 
-    def commands(self, spacecraft_id, window, limit, after, *, newest_first=False):
-        found = [each for each in self.views.values() if window.start_us <= each.prepared_us < window.stop_us]
-        return sorted(found, key=lambda each: (each.prepared_us, each.counter), reverse=newest_first)[:limit]
+    def commands(self, spacecraft_id, part):
+        start_us, stop_us = part.window
+        found = [each for each in self.views.values() if start_us <= each.prepared_us < stop_us]
+        return sorted(found, key=lambda each: (each.prepared_us, each.counter), reverse=part.newest_first)[: part.limit]
 
     def product(self, spacecraft_id, form, counter):
         if (form, counter) not in self.products:
@@ -133,10 +134,11 @@ class FakeArchive:
     def _calibration(self):
         return SimpleNamespace(id=self.calibration_id, request=SimpleNamespace(method=CalibrationMethod.GEOMETRY))
 
-    def _inputs(self, spacecraft_id, kind, window, limit, after, *, newest_first=False, is_compared=False):
+    def _inputs(self, spacecraft_id, kind, part, *, is_compared=False):
+        window = part.window
         records = self.operations if kind == "operation" else self.telemetry
         reported = [each for each in records if getattr(each, "epoch_us", window.stop_us) >= window.start_us]
-        if newest_first:
+        if part.newest_first:
             reported = [each for each in reversed(reported) if each.epoch_us < window.stop_us]
         return [JournalEntry(k, each) for k, each in enumerate(reported, start=1)]
 

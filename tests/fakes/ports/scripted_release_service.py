@@ -6,6 +6,7 @@ from typing import Any
 from service.core.control.slew_schedule import Envelope
 from service.errors import SooError
 from service.pipeline.control.release.control_verdict import ControlView, GoodMinutes, reason_of
+from service.ports.archive import ListPart
 from service.records.levels.attitude import Axes, Pulse
 from service.records.operations.release import (
     Command,
@@ -133,13 +134,13 @@ class ScriptedReleaseService:
         self._answer("command", spacecraft_id, counter)
         return self.command_view
 
-    def commands(self, spacecraft_id: str, *page: Any, newest_first: bool) -> list[Command]:
-        self._answer("commands", spacecraft_id, *page, newest_first)
+    def commands(self, spacecraft_id: str, part: ListPart) -> list[Command]:
+        self._answer("commands", spacecraft_id, part)
         later = replace(self.command_view, counter=8, prepared_us=AT_US + S)
         positions = [(each.prepared_us, each.counter) for each in (self.command_view, later)]
-        after = page[2] or (0, 0)
+        after = part.after or (0, 0)
         views = (self.command_view, later)
-        return [view for view, position in zip(views, positions, strict=True) if position > after][: page[1]]
+        return [view for view, position in zip(views, positions, strict=True) if position > after][: part.limit]
 
     def product(self, spacecraft_id: str, form: ProductForm, counter: int) -> UplinkProduct:
         self._answer("product", spacecraft_id, form, counter)

@@ -24,7 +24,7 @@ from db.storage import SqlStorage
 from service.api.export.export_files import OFFERED
 from service.api.protocol.paging import EVERYTHING
 from service.cli.importing.put_command import put
-from service.ports.archive import LIVE, Outcome
+from service.ports.archive import LIVE, ListPart, Outcome
 from service.records.catalogue import Carrier, Method, Site, Spacecraft
 from service.records.levels.attitude import Axes, CarrierResults, TorqueCommand, row_without_attitude
 from service.records.levels.measurement import Measurement, MeasurementBatch
@@ -72,7 +72,7 @@ def fill(database: Path, rows: int, carriers: int, *, with_results: bool = False
 def consume(storage: SqlStorage) -> None:
     """Store an attitude row, carrier results and a command of every measurement."""
     after = None
-    while page := storage.archive.measurements("sim-1", EVERYTHING, 2000, after):
+    while page := storage.archive.measurements("sim-1", ListPart(EVERYTHING, 2000, after)):
         after = (page[-1].epoch_us, page[-1].number)
         outcomes = []
         for row in page:

@@ -25,7 +25,6 @@ from waiting import wait_until
 
 from bench.bench_operation import fill
 from db.connection.engines import reading_engine
-from db.encoding.power_codec import unpack_powers
 from db.maintenance.backup import restore_backup, verify_backup
 from db.maintenance.doctor import diagnose
 from db.maintenance.integrity_check import examine
@@ -54,7 +53,7 @@ def stored_rows(database, copy):
         assert [each for each in found if each.state != "ok"] == []
         query = "SELECT name, epoch_us, powers FROM measurement JOIN source USING (spacecraft_key, source_key)"
         rows = connection.execute(text(query))
-        return {(name, epoch_us): unpack_powers([powers])[0].tobytes() for name, epoch_us, powers in rows}
+        return {(name, epoch_us): powers for name, epoch_us, powers in rows}
 
 
 @pytest.mark.timeout(900)

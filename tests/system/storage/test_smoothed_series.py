@@ -11,7 +11,7 @@ from db.maintenance.doctor import diagnose
 from db.storage import SqlStorage
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.smoothed import GRID_US, grid_us
-from service.ports.archive import SMOOTHED
+from service.ports.archive import SMOOTHED, ListPart
 from service.records.calibration import Window
 from service.records.catalogue import Method
 from service.records.epoch import US_PER_S, format_epoch
@@ -43,7 +43,7 @@ def made_from(url):
     storage = SqlStorage(url)
     try:
         window = Window(at(-100), at(1000))
-        stored = storage.results.attitude_rows(SC, SMOOTHED, Method.ROBUST_SMOOTHED, window, 10_000, None)
+        stored = storage.results.attitude_rows(SC, SMOOTHED, Method.ROBUST_SMOOTHED, ListPart(window, 10_000))
         order = LAG_MIN * MINUTE, grid_us(at(0) + GRID_US - 1), storage.archive.head(SC).consumed_number
         return stored, [*LaggedRun(storage, ChainConfig(), SC, *order).steps()][-1].rows
     finally:

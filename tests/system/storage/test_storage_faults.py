@@ -25,7 +25,7 @@ from db.maintenance.backup import create_backup, restore_backup
 from db.schema.tables import attitude, metadata, segment
 from db.storage import SqlStorage
 from service.errors import StorageError
-from service.ports.archive import LIVE
+from service.ports.archive import LIVE, ListPart
 from service.records.calibration import Window
 from service.records.catalogue import LIVE_METHODS
 from service.records.operations.work import Job, JobState, Replay
@@ -249,8 +249,8 @@ def everything(storage, version):
     results, found = storage.results, []
     for each in (LIVE, version):
         for method in LIVE_METHODS:
-            found += map(repr, results.attitude_rows("bench", each, method, EVER, 10 * ROWS, None))
-        found += map(repr, results.commands("bench", each, EVER, 10 * ROWS, None))
+            found += map(repr, results.attitude_rows("bench", each, method, ListPart(EVER, 10 * ROWS)))
+        found += map(repr, results.commands("bench", each, ListPart(EVER, 10 * ROWS)))
     return found
 
 

@@ -13,12 +13,11 @@ from sqlalchemy.exc import OperationalError
 from sqlalchemy.schema import CreateTable
 
 from db.connection.engines import FileWatch, open_engines, translated_faults
-from db.connection.writer import GROUP_LIMIT, PreparedStatement, Writer, insert_new
-from db.encoding.row_mapping import attitude_values
-from db.measurements.ingest import _MOVE_SOURCE, _READ_STATE, _READ_STATES
+from db.connection.writer import GROUP_LIMIT, Writer, insert_new
+from db.encoding.result_rows import attitude_values
 from db.schema.columns import checksum_of
 from db.schema.layout import create_tables
-from db.schema.tables import attitude, head, measurement
+from db.schema.tables import attitude, measurement
 from service.errors import StorageError
 from service.records.catalogue import Method
 from service.records.levels.attitude import row_without_attitude
@@ -212,23 +211,6 @@ def test_rows_that_stand_stay_as_they_are(rows):
     assert insert_new(connection, attitude, []) == 0
 
 
-def test_values_go_by_name_to_postgresql(rows):
-    class Recorder:
-        dialect, rowcount = psycopg.dialect(), 3
-
-        def exec_driver_sql(self, text, values, **_options):
-            self.said = text, values
-            return self
-
-    recorder = Recorder()
-    assert insert_new(recorder, attitude, rows) == 3
-    text, values = recorder.said
-    assert text.endswith("ON CONFLICT DO NOTHING")
-    assert all(f"%({name})s" in text for name in values[0])
-    assert [each["epoch_us"] for each in values] == [60, 120, 180]
-    assert {each["common_db"] for each in values} == {None}
-
-
 def test_more_than_a_group_waiting_at_once_is_all_written_in_order(tmp_path):
     engines = open_engines(f"sqlite:///{tmp_path / 'soo.db'}")
     writer, released, written = Writer(engines.write), Event(), []
@@ -243,41 +225,10 @@ def test_more_than_a_group_waiting_at_once_is_all_written_in_order(tmp_path):
     engines.dispose()
 
 
-class Recorder:
-    """A connection that keeps what it is told to run."""
-
-    dialect = psycopg.dialect()
-
-    def exec_driver_sql(self, text, values):
-        self.said = text, values
-        return self
-
-
-@pytest.mark.parametrize("statement", [_MOVE_SOURCE, _READ_STATE, _READ_STATES])
-def test_values_go_by_name(statement):
-    recorder = Recorder()
-    values = range(len(statement._names))
-    statement.run(recorder, *values)
-    text, named = recorder.said
-    assert named == dict(zip(statement._names, values, strict=True))
-    assert all(f"%({name})s" in text for name in named)
-
-
-def test_a_wrong_number_of_values_is_an_error():
-    with pytest.raises(ValueError, match="zip"):
-        _MOVE_SOURCE.run(Recorder(), 1)
-
-
-def test_the_head_is_locked_where_others_write_too():
-    lock = select(head).with_for_update()
-    recorder = Recorder()
-    PreparedStatement(lock).run(recorder)
-    assert recorder.said[0].endswith("FOR UPDATE")
-
-
 def test_columns_have_the_server_s_types():
-    assert "powers BYTEA NOT NULL" in str(CreateTable(measurement).compile(dialect=Recorder.dialect))
-    made = str(CreateTable(attitude).compile(dialect=Recorder.dialect))
+    dialect = psycopg.dialect()
+    assert "powers BYTEA NOT NULL" in str(CreateTable(measurement).compile(dialect=dialect))
+    made = str(CreateTable(attitude).compile(dialect=dialect))
     # FLOAT without a precision is double precision on this server
     assert "yaw_deg FLOAT," in made
     assert "epoch_us BIGINT NOT NULL" in made

@@ -120,7 +120,7 @@ def test_tables_that_grow_have_no_second_key(tmp_path):
     prepare(f"sqlite:///{tmp_path / 'soo.db'}")
     with closing(sqlite3.connect(tmp_path / "soo.db")) as connection:
         texts = dict(connection.execute("SELECT name, sql FROM sqlite_master WHERE type = 'table'"))
-    for name in ("measurement", "measurement_detail", "sequence_interval", "journal", "attitude", "torque"):
+    for name in ("measurement", "sequence_interval", "journal", "attitude", "torque"):
         assert texts[name].rstrip().endswith("WITHOUT ROWID")
 
 

@@ -1,4 +1,4 @@
-"""Rows are stored in runs as one by one, and missing numbers of a source are counted whatever comes in what order."""
+"""Rows are stored together as one by one, and missing numbers of a source are counted whatever comes in what order."""
 
 from itertools import pairwise
 
@@ -8,12 +8,11 @@ from hypothesis import strategies as st
 from sqlalchemy import delete, select
 
 from db.connection.engines import open_engines
-from db.encoding.measurement_runs import insert_details
-from db.encoding.power_codec import StoredRows
-from db.measurements.row_insert import RowRun, insert_run
+from db.measurements.row_insert import insert_rows
 from db.measurements.sequence_numbers import RUNS_KEPT, Block, NumberedRow, SequenceNumbers, Tail, blocks_of
+from db.schema.columns import measurement_checksum
 from db.schema.layout import create_tables
-from db.schema.tables import measurement, measurement_detail, sequence_interval
+from db.schema.tables import measurement, sequence_interval
 
 
 @pytest.fixture(scope="module", params=["sqlite", "postgresql"])
@@ -29,85 +28,36 @@ def engine(request, tmp_path_factory):
     engines.dispose()
 
 
-@st.composite
-def blobs(draw, rows, least=1):
-    width = draw(st.integers(least, 9))
-    return StoredRows(width, draw(st.binary(min_size=rows * width, max_size=rows * width)))
-
-
-@st.composite
-def runs(draw):
-    rows = draw(st.integers(1, 6))
-    return RowRun(
-        spacecraft_key=draw(st.integers(1, 9)),
-        source_key=draw(st.integers(1, 9)),
-        plan_id=draw(st.integers(1, 9)),
-        received_at_us=draw(st.integers(-(1 << 61), 1 << 61)),
-        feeds=draw(st.booleans()),
-        is_late=draw(st.booleans()),
-        first_number=draw(st.integers(1, 1 << 62)),
-        first_seq=draw(st.none() | st.integers(0, 1 << 62)),
-        epochs_us=draw(st.lists(st.integers(-(1 << 61), 1 << 61), min_size=rows, max_size=rows, unique=True)),
-        powers=draw(blobs(rows)),
-        flags=draw(st.none() | blobs(rows, 0)),
-        figures=draw(st.none() | st.lists(st.none() | st.binary(max_size=9), min_size=rows, max_size=rows)),
-    )
-
-
-def rows_of(run):
-    """Return the columns of each row."""
-    return [
-        {
-            "spacecraft_key": run.spacecraft_key,
-            "source_key": run.source_key,
-            "plan_id": run.plan_id,
-            "delay_us": run.received_at_us - epoch_us,
-            "feeds": run.feeds,
-            "is_late": run.is_late,
-            "number": run.first_number + position,
-            "seq": None if run.first_seq is None else run.first_seq + position,
-            "epoch_us": epoch_us,
-            "powers": run.powers.part(position, position + 1).rows,
-            "flags": None if run.flags is None else run.flags.part(position, position + 1).rows,
-            "checksum": run.checksums()[4 * position : 4 * position + 4],
-        }
-        for position, epoch_us in enumerate(run.epochs_us)
-    ]
+EPOCHS = st.integers(-(1 << 61), 1 << 61)
+BLOBS = st.none() | st.binary(max_size=9)
+NUMBERS = st.integers(1, 1 << 62)
+#: columns of a row behind its spacecraft and epoch
+REST = st.tuples(
+    st.integers(1, 9), NUMBERS, st.integers(1, 9), st.none() | NUMBERS, EPOCHS, st.booleans(), st.booleans()
+)
+ARRAYS = st.tuples(st.binary(min_size=1, max_size=9), BLOBS, BLOBS)
 
 
 @settings(
     derandomize=True, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
 )
-@given(run=runs())
-def test_a_run_is_stored_as_its_rows(engine, run):
+@given(drawn=st.dictionaries(EPOCHS, st.tuples(REST, ARRAYS), min_size=1, max_size=6))
+def test_rows_are_stored_together_as_one_by_one(engine, drawn):
+    # no two rows of a spacecraft have one number
+    rows = [
+        (3, epoch_us, rest[0], rest[1] + place, *rest[2:], *arrays)
+        for place, (epoch_us, (rest, arrays)) in enumerate(sorted(drawn.items(), key=lambda row: row[1][0][1]))
+    ]
     stored = []
-    for store in (lambda c: insert_run(c, run), lambda c: c.execute(measurement.insert(), rows_of(run))):
+    for parts in ([rows], [[row] for row in rows]):
         with engine.begin() as connection:
             connection.execute(delete(measurement))
-            store(connection)
+            for part in parts:
+                insert_rows(connection, part)
             stored.append(connection.execute(select(measurement).order_by(measurement.c.number)).all())
     assert stored[0] == stored[1]
-    assert len(stored[0]) == len(run.epochs_us)
-
-
-@settings(
-    derandomize=True, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
-)
-@given(
-    epochs_us=st.lists(st.integers(-(1 << 63), (1 << 63) - 1), min_size=1, max_size=6, unique=True),
-    width=st.integers(1, 9),
-    noise=st.randoms(use_true_random=False),
-)
-def test_details_are_stored_row_by_row(engine, epochs_us, width, noise):
-    figures = noise.randbytes(width * len(epochs_us))
-    with engine.begin() as connection:
-        connection.execute(delete(measurement_detail))
-        insert_details(connection, 3, 7, epochs_us, width, figures)
-        stored = {row.epoch_us: row for row in connection.execute(select(measurement_detail))}
-    assert [bytes(stored[epoch_us].figures) for epoch_us in epochs_us] == [
-        figures[position * width : (position + 1) * width] for position in range(len(epochs_us))
-    ]
-    assert {(row.spacecraft_key, row.source_key) for row in stored.values()} == {(3, 7)}
+    assert [tuple(row)[:-1] for row in stored[0]] == rows
+    assert [row.checksum for row in stored[0]] == list(map(measurement_checksum, rows))
 
 
 BLOCKS = st.lists(

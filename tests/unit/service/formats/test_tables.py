@@ -21,12 +21,7 @@ from pyarrow import parquet
 from service.formats.tabular import parquet_stream
 from service.formats.tabular.measurement_file import (
     MeasurementColumns,
-    MeasurementFile,
-    ParquetFile,
-    csv_file,
-    file_bytes,
-    measurement_file,
-    ndjson_file,
+    measurement_bytes,
 )
 from service.formats.tabular.series_tables import (
     ATTITUDE,
@@ -98,8 +93,8 @@ def _block(plan: int, rows: int, source: str = "sa-1", start: int = 0) -> Measur
     return MeasurementBlock((source,), plan, epochs_us, levels)
 
 
-def _written(file: MeasurementFile, blocks: Sequence[MeasurementBlock]) -> bytes:
-    return b"".join(file_bytes(file, blocks))
+def _written(columns: MeasurementColumns, file_format: TableFormat, blocks: Sequence[MeasurementBlock]) -> bytes:
+    return b"".join(measurement_bytes(columns, file_format, blocks))
 
 
 def _wanted(blocks: Sequence[MeasurementBlock]) -> tuple[list[str], list[str], dict[str, NDArray[np.float32]]]:
@@ -144,16 +139,16 @@ def _parquet_rows(content: bytes) -> list[dict[str, Any]]:
 
 @pytest.mark.parametrize("blocks", BLOCKS, ids=PARTS)
 @pytest.mark.parametrize(
-    ("file", "rows_of"),
+    ("file_format", "rows_of"),
     [
-        (csv_file, _csv_rows),
-        (ndjson_file, lambda content: list(map(json.loads, content.splitlines()))),
-        (ParquetFile, _parquet_rows),
+        ("csv", _csv_rows),
+        ("ndjson", lambda content: list(map(json.loads, content.splitlines()))),
+        ("parquet", _parquet_rows),
     ],
     ids=["csv", "ndjson", "parquet"],
 )
-def test_every_bit_reads_back(blocks: list[MeasurementBlock], file: Any, rows_of: Any) -> None:
-    rows = rows_of(_written(file(_columns(*(block.plan_id for block in blocks))), blocks))
+def test_every_bit_reads_back(blocks: list[MeasurementBlock], file_format: TableFormat, rows_of: Any) -> None:
+    rows = rows_of(_written(_columns(*(block.plan_id for block in blocks)), file_format, blocks))
     epochs, sources, levels = _wanted(blocks)
     assert [(row["epoch"], row["source"]) for row in rows] == list(zip(epochs, sources, strict=True))
     for name, wanted in levels.items():
@@ -163,11 +158,17 @@ def test_every_bit_reads_back(blocks: list[MeasurementBlock], file: Any, rows_of
 
 
 def test_parquet_gives_its_bytes_group_by_group() -> None:
-    file = ParquetFile(_columns(1))
-    assert file.begin() == b"PAR1"
-    chunks = [file.rows(_block(1, 50_000, start=50_000 * k)) for k in range(6)]
-    assert [bool(chunk) for chunk in chunks] == [False, True, True, True, False, True]
-    assert file.end().endswith(b"PAR1")
+    taken = []
+
+    def blocks() -> Iterator[MeasurementBlock]:
+        for k in range(6):
+            taken.append(k)
+            yield _block(1, 50_000, start=50_000 * k)
+
+    chunks = measurement_bytes(_columns(1), "parquet", blocks())
+    assert next(chunks) == b"PAR1"
+    # the blocks that complete a group, and the end
+    assert [len(taken) for chunk in chunks if chunk] == [2, 3, 4, 6, 6]
 
 
 @pytest.mark.parametrize("file_format", ["csv", "ndjson", "parquet"])
@@ -176,11 +177,9 @@ def test_two_sources_that_take_turns_make_the_same_file_however_rows_come(
 ) -> None:
     whole = _block(1, 1500)
     rows = [replace(whole.part(k, k + 1), sources=(f"sa-{k % 2}",)) for k in range(1500)]
-    written = _written(measurement_file(_columns(1), file_format), rows)
+    written = _written(_columns(1), file_format, rows)
     together = replace(whole, sources=("sa-1", "sa-0"), source_positions=1 - np.arange(1500) % 2)
-    assert _written(measurement_file(_columns(1), file_format), [together.part(0, 700), together.part(700, 1500)]) == (
-        written
-    )
+    assert _written(_columns(1), file_format, [together.part(0, 700), together.part(700, 1500)]) == (written)
     if file_format == "parquet":
         table = parquet.read_table(io.BytesIO(written))
         assert table.column("source").to_pylist() == [f"sa-{k % 2}" for k in range(1500)]
@@ -188,8 +187,8 @@ def test_two_sources_that_take_turns_make_the_same_file_however_rows_come(
     else:
         assert written.count(b"sa-1") == 750
         one = [replace(row, sources=("sa-0",)) for row in rows]
-        assert _written(measurement_file(_columns(1), file_format), one) == _written(
-            measurement_file(_columns(1), file_format), [replace(whole, sources=("sa-0",))]
+        assert _written(_columns(1), file_format, one) == _written(
+            _columns(1), file_format, [replace(whole, sources=("sa-0",))]
         )
 
 
@@ -202,7 +201,7 @@ def test_blocks_are_taken_one_at_a_time() -> None:
             taken += 1
             yield _block(1, 10, start=10 * k)
 
-    chunks = file_bytes(csv_file(_columns(1)), blocks())
+    chunks = measurement_bytes(_columns(1), "csv", blocks())
     next(chunks)
     next(chunks)
     assert taken == 1
@@ -215,7 +214,8 @@ def _numbered(width: int) -> MeasurementColumns:
 
 
 def _csv(epochs_us: NDArray[np.int64], values: NDArray[np.float32]) -> bytes:
-    return csv_file(_numbered(values.shape[1])).rows(MeasurementBlock(("sa-1",), 1, epochs_us, values))
+    block = MeasurementBlock(("sa-1",), 1, epochs_us, values)
+    return _written(_numbered(values.shape[1]), "csv", [block]).partition(b"\r\n")[2]
 
 
 def _read_csv(text: bytes) -> tuple[list[str], NDArray[np.float32]]:
@@ -253,7 +253,7 @@ def test_lines_of_json_hold_null_for_what_is_absent() -> None:
     values = np.array([[-42.1, np.nan], [np.nan, np.nan]], dtype=np.float32)
     sources, epochs_us = ('sa "1"', "sa-2"), np.array([0, 1_500_000])
     block = MeasurementBlock(sources, 1, epochs_us, values, source_positions=np.array([1, 0]))
-    lines = ndjson_file(_numbered(2)).rows(block).splitlines()
+    lines = _written(_numbered(2), "ndjson", [block]).splitlines()
     assert [json.loads(line) for line in lines] == [
         {"epoch": "1970-01-01T00:00:00.000000Z", "source": "sa-2", "c0_dbm": -42.1, "c1_dbm": None},
         {"epoch": "1970-01-01T00:00:01.500000Z", "source": 'sa "1"', "c0_dbm": None, "c1_dbm": None},

@@ -162,7 +162,7 @@ def test_commanded_motion_is_told_as_far_as_it_reaches_beyond_the_alignment_in_t
     archive.inputs.side_effect = lambda _spacecraft, kind, *_, is_compared: pages.get(kind, [])
     update_before(chain, archive, "y", 50, 150)
     assert [call.args[0] for call in chain.update.call_args_list] == [correction, reported, plan, rain, angle]
-    starts_us = {call.args[1]: call.args[2].start_us for call in archive.inputs.call_args_list}
+    starts_us = {call.args[1]: call.args[2].window.start_us for call in archive.inputs.call_args_list}
     # what telemetry told in the hours before may still hold
     hours_us = 6 * 3600 * 1_000_000
     assert starts_us == {

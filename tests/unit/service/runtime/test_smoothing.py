@@ -9,7 +9,7 @@ from busy_station import MINUTE, SC, at, text
 from service.errors import StorageError
 from service.pipeline.config import ChainConfig, RobustConfig
 from service.pipeline.estimation.smoothed import GRID_US, grid_us
-from service.ports.archive import SMOOTHED
+from service.ports.archive import SMOOTHED, ListPart
 from service.records.calibration import Window
 from service.records.catalogue import Method
 from service.records.operations.work import JobKind, JobState
@@ -297,7 +297,7 @@ def test_retention_and_sealing_take_the_series_along(busy):
     for _ in busy.storage.archive.drop_before(SC, "attitude", at(0) + 3 * day_us):
         pass
     window = Window(at(-10_000), at(10_000))
-    assert busy.storage.results.attitude_rows(SC, SMOOTHED, Method.ROBUST_SMOOTHED, window, 10, None) == []
+    assert busy.storage.results.attitude_rows(SC, SMOOTHED, Method.ROBUST_SMOOTHED, ListPart(window, 10)) == []
 
 
 @pytest.mark.parametrize("lag_s", [-1.0, 299.0, 43_201.0, float("nan")])
