@@ -158,8 +158,6 @@ class CalibrationWork:
         archive = self._storage.archive
         turns = archive.inputs(spacecraft_id, name, ListPart(request.turns, _MAX_RECORDS))
         read = {each.number: each for each in turns}
-            each.number: each for each in archive.inputs(spacecraft_id, name, ListPart(request.turns, _MAX_RECORDS))
-        }
         next_us: dict[str, int] = {}
         for entry in every_input(archive, spacecraft_id, name, request.quiet, is_compared=True):
             one = entry.content
