@@ -1,13 +1,12 @@
 """Columns: types that SQLAlchemy does not have, columns by the fields of a record, the checksum of a row."""
 
-import json
 import math
 import struct
 import zlib
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import MISSING
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 from sqlalchemy import (
     DOUBLE_PRECISION,
@@ -51,13 +50,13 @@ class Figure(TypeDecorator[float]):
         """Return the type of the column in a dialect."""
         return dialect.type_descriptor(UntypedDouble() if dialect.name == "sqlite" else DOUBLE_PRECISION())
 
-    def process_bind_param(self, value: float | None, dialect: Dialect) -> float | None:  # noqa: ARG002 - SQLAlchemy's signature
-        """Store NaN as NULL."""
-        return None if value is None or math.isnan(value) else float(value)
+    def bind_processor(self, dialect: Dialect) -> Callable[[float | None], float | None]:  # noqa: ARG002 - SQLAlchemy's
+        """Return what stores NaN as NULL; as a processor of its own it costs half of `process_bind_param`."""
+        return lambda value: None if value is None or value != value else float(value)
 
-    def process_result_value(self, value: float | None, dialect: Dialect) -> float:  # noqa: ARG002 - SQLAlchemy's signature
-        """Read NULL as NaN."""
-        return math.nan if value is None else value
+    def result_processor(self, dialect: Dialect, coltype: object) -> Callable[[float | None], float]:  # noqa: ARG002
+        """Return what reads NULL as NaN."""
+        return lambda value: math.nan if value is None else value
 
 
 def needed(kind: Any, *names: str) -> list[Column[Any]]:
@@ -122,8 +121,8 @@ CHECKSUM_BYTES = 4
 _EPOCH_END_US = 1 << 53
 #: whole numbers of a measurement, and the sizes of its arrays
 _MEASUREMENT = struct.Struct("<12q")
-#: for what is absent
-_NONE = -1
+#: for what is absent, and size of a content
+_NONE, _SIZE = -(1 << 63), struct.Struct("<q")
 
 
 def measurement_checksum(row: Sequence[Any]) -> bytes:
@@ -145,17 +144,19 @@ def checksum_column() -> Column[bytes]:
 
 
 def checksum_of(table: Any, values: Mapping[str, Any]) -> bytes:
-    """Checksum of a row of a table: of the columns that are not null, by name, as JSON; of bytes their CRC-32 counts.
+    """Checksum of a row of a table: CRC-32 of its columns in their order, numbers first, null as NaN is.
 
     The number that a database gives a row does not count.
     """
-    # NaN is null in the table
-    content = {
-        name: plain(value)
-        for name, plain in _plain_columns(table)
-        if (value := values.get(name)) is not None and value == value
-    }
-    return _bytes_of(zlib.crc32(json.dumps(content).encode()))
+    whole, figures, contents, packed = _parts(table)
+    numbers = [_NONE if (number := values.get(name)) is None else number for name in whole]
+    reals = [figure if (figure := values.get(name)) is not None and figure == figure else math.nan for name in figures]
+    crc = zlib.crc32(packed.pack(*numbers, *reals))
+    for name in contents:
+        content = values.get(name)
+        part = content.encode() if isinstance(content, str) else content
+        crc = zlib.crc32(part or b"", zlib.crc32(_SIZE.pack(_NONE if part is None else len(part)), crc))
+    return _bytes_of(crc)
 
 
 def agrees(table: Table, row: Row[Any]) -> bool:
@@ -193,24 +194,26 @@ def sound_rows(table: Table, rows: Iterable[Row[Any]]) -> list[Row[Any]]:
     return found
 
 
+class _Parts(NamedTuple):
+    """Columns that count in a checksum, by what they hold."""
+
+    whole: tuple[str, ...]
+    figures: tuple[str, ...]
+    contents: tuple[str, ...]
+    packed: struct.Struct
+
+
 @cache
-def _plain_columns(table: Table) -> tuple[tuple[str, Callable[[Any], Any]], ...]:
-    """Names of the columns that count, each with what makes its values those of a query."""
-    columns = (column for column in table.c if column is not table.autoincrement_column and column.name != "checksum")
-    return tuple((column.name, _plain_kind(column.type)) for column in columns)
-
-
-def _plain_kind(kind: Any) -> Callable[[Any], Any]:
-    if isinstance(kind, TypeDecorator):
-        kind = kind.impl_instance
-    plain: dict[type, Callable[[Any], Any]] = {
-        Boolean: bool,
-        Integer: int,
-        Float: float,
-        Text: str,
-        LargeBinary: zlib.crc32,
-    }
-    return next(function for known, function in plain.items() if isinstance(kind, known))
+def _parts(table: Table) -> _Parts:
+    """Return the columns of a table that count."""
+    names: dict[type, list[str]] = {Integer: [], Float: [], Text: []}
+    for column in table.c:
+        kind = column.type.impl_instance if isinstance(column.type, TypeDecorator) else column.type
+        if column is not table.autoincrement_column and column.name != "checksum":
+            holds = Integer if isinstance(kind, Integer | Boolean) else Float if isinstance(kind, Float) else Text
+            names[holds].append(column.name)
+    whole, figures, contents = map(tuple, names.values())
+    return _Parts(whole, figures, contents, struct.Struct(f"<{len(whole)}q{len(figures)}d"))
 
 
 def _bytes_of(crc32: int) -> bytes:
