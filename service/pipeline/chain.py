@@ -357,8 +357,8 @@ class Chain:
         wanted = spacecraft.control.method
         if all(runner.method is not wanted for runner in self._runners):
             return Outcome(rows, None, disagreement_deg=apart_deg, carriers=carriers)
-        driving = next((row for row in rows if row.method is wanted), None) or self._row_of_silent(rows[0], wanted)
         source = next((each for each in found if each.row.method is wanted), None)
+        driving = self._row_of_silent(rows[0], wanted) if source is None else source.row
         config, disturbance = self._config.torque, None if source is None else source.disturbance()
         is_automatic, body_rate_deg_s = spacecraft.control.release is Release.AUTOMATIC, None
         if is_gyro_orbitant(spacecraft):

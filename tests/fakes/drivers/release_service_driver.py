@@ -255,7 +255,9 @@ class ReleaseServiceDriver:
         row, archive = self.row, self.archive
         if row is None or not archive.is_aligned or archive.operations:
             return True
-        reported = archive.telemetry[-1] if archive.telemetry else None
+        # older telemetry says nothing of the present
+        fresh = [one for one in archive.telemetry if self.clock.now - one.epoch_us <= 600 * US]
+        reported = fresh[-1] if fresh else None
         is_full = reported is not None and abs(reported.wheel_momentum_n_m_s[0]) > 16.0
         age_s = (self.clock.now - row.epoch_us) / US
         return (
