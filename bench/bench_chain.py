@@ -49,6 +49,8 @@ _CHAINS: dict[str, tuple[Sequence[Method], bool]] = {
 #: rows before the clock starts, so that every trailing mean is full
 _SETTLING = 60
 _BLOCK_ROWS = 1000
+#: rows that a chain takes at once, as a replay hands them over
+_AT_ONCE = 128
 #: correlation times of coloured noise, s, and their sigmas, dB
 _TAUS_S, _COLOURED_DB = (300.0, 1200.0, 7200.0, 36000.0), (0.05, 0.07, 0.03, 0.02)
 
@@ -91,9 +93,10 @@ def _works(steps: int) -> dict[str, Callable[[], float]]:
     for carriers in (16, 32):
         works[f"filter, live, {carriers} carriers"] = partial(live_s, carriers, steps)
     for name, (methods, has_commands) in _CHAINS.items():
-        for carriers in (16, 32):
-            works[f"chain, {name}, {carriers} carriers"] = partial(
-                _chain_s, carriers, steps, methods, has_commands=has_commands
+        for carriers, rows in ((16, 1), (32, 1), (16, _AT_ONCE)):
+            at_once = "live" if rows == 1 else f"blocks of {rows} rows"
+            works[f"chain, {name}, {carriers} carriers, {at_once}"] = partial(
+                _chain_s, carriers, steps, methods, has_commands=has_commands, rows=rows
             )
     return works
 
@@ -210,30 +213,28 @@ def _chain(
     return chain
 
 
-def _chain_s(carriers: int, steps: int, methods: Sequence[Method], *, has_commands: bool) -> float:
-    """Return the mean time of one step of a chain."""
-    return measure(carriers, steps, methods, has_commands=has_commands).mean_s
-
-
-def measure(carriers: int, steps: int, methods: Sequence[Method], *, has_commands: bool, seed: int = 5) -> StepTimes:
-    """Return the time of one step of a chain."""
-    payload = FlightPayload.make(carriers, seed)
-    aligned_us = START_US + HOUR
+def _chain_s(carriers: int, steps: int, methods: Sequence[Method], *, has_commands: bool, rows: int) -> float:
+    """Return the mean time of a row of a chain that takes some rows at once."""
+    payload, seed = FlightPayload.make(carriers, 5), 5
     chain = _chain(payload, payload.spacecraft(), methods, has_commands=has_commands)
     noise = 0.05 * np.random.default_rng(seed).normal(size=(_SETTLING + steps, carriers))
-    taken, fixes = [], 0
+    measurements = []
     for row, noise_db in enumerate(noise, start=1):
         angles_deg = 0.2 * np.sin(row / np.array([90.0, 70.0, 50.0]))
-        exact = payload.measurement(aligned_us + row * MINUTE, angles_deg, number=row)
-        exact = replace(exact, power_dbm=(exact.power_dbm + noise_db).astype(np.float32).astype(np.float64))
+        exact = payload.measurement(START_US + HOUR + row * MINUTE, angles_deg, number=row)
+        noisy_dbm = (exact.power_dbm + noise_db).astype(np.float32).astype(np.float64)
+        measurements.append(replace(exact, power_dbm=noisy_dbm))
+    chain.rows(measurements[:_SETTLING])
+    taken_s, fixes = 0.0, 0
+    for first in range(_SETTLING, len(measurements), rows):
         began = time.thread_time()
-        outcome = chain.step(exact)
-        taken.append(time.thread_time() - began)
-        assert outcome is not None
-        fixes += bool(np.isfinite(outcome.rows[0].attitude_deg.roll))
+        found = chain.rows(measurements[first : first + rows])
+        taken_s += time.thread_time() - began
+        angles = (each.outcome.rows[0].attitude_deg.roll for each in found if each.outcome is not None)
+        fixes += sum(map(math.isfinite, angles))
     # a row that is left without an angle costs less; nearly all must have one for the figure to mean anything
-    assert fixes > 0.9 * len(noise), f"only {fixes} of {len(noise)} rows have an angle"
-    return _figures(taken)
+    assert fixes > 0.9 * steps, f"only {fixes} of {steps} rows have an angle"
+    return taken_s / steps
 
 
 if __name__ == "__main__":
