@@ -65,7 +65,7 @@ class StepTimes(NamedTuple):
 def main() -> bool:
     """Print all figures."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--steps", type=int, default=500, help="rows of a run, live and through the chain")
+    parser.add_argument("--steps", type=int, default=1440, help="rows of a run, live and through the chain")
     parser.add_argument("--runs", type=int, default=5)
     options, _ = parser.parse_known_args()
     works = _works(options.steps)
