@@ -90,7 +90,7 @@ def judge(
 ) -> tuple[str, ...]:
     """Return what a fix of the paper method, yaw, roll and pitch by some carriers, and its row inhibit control for."""
     standing = _circumstantial(context) | _of_fix(angles_deg, carriers_used, config)
-    return tuple(reason for reason in INHIBITIONS if reason in standing)
+    return tuple(reason for reason in INHIBITIONS if reason in standing) if standing else ()
 
 
 def _circumstantial(context: RowContext) -> set[str]:

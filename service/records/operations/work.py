@@ -26,7 +26,7 @@ class JobKind(StrEnum):
     REPLAY = "replay"
 
 
-#: the least is done first; jobs yield to those before them between two pieces
+#: order of open jobs; between two pieces they yield to a calibration, and each kind to the others
 PRIORITIES: dict[str, int] = {kind.value: number for number, kind in enumerate(JobKind)}
 #: jobs that no person makes: one of a spacecraft, queued again and again
 STANDING_KINDS = (JobKind.SMOOTHING, JobKind.SEALING)

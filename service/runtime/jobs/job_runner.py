@@ -147,6 +147,8 @@ class JobRunner:
         self.holder = uuid.uuid4().hex
         #: jobs in the hands of this runner
         self._held: set[str] = set()
+        #: pieces done, and with how many of them each kind had its newest turn
+        self._pieces, self._turns = 0, dict[str, int]()
         #: processes that have died over a job
         self._deaths: dict[str, int] = {}
         self._polled_s = self._began_s = time.monotonic()
@@ -181,11 +183,17 @@ class JobRunner:
         """Queue what is due, do a piece of the first job; return whether there was one."""
         self._queue_due()
         jobs = self._results.open_jobs(self.holder)
-        job = next((each for each in jobs if self._is_ours(each)), None)
+        job = next((each for each in sorted(jobs, key=self._last_turn) if self._is_ours(each)), None)
         if job is None:
             return False
+        self._pieces += 1
+        self._turns[job.kind] = self._pieces
         self._do_piece(job, frozenset(each.id for each in jobs))
         return True
+
+    def _last_turn(self, job: Job) -> int:
+        """Return when a kind had its turn: calibrations go first, the others do a piece each, however much waits."""
+        return -1 if job.kind == JobKind.CALIBRATION else self._turns.get(job.kind, 0)
 
     def _run(self) -> None:
         """Do pieces until stopped, and rest while there are none."""

@@ -79,6 +79,19 @@ def test_a_calibration_waits_for_one_piece_of_a_replay(storage: SqlStorage) -> N
     assert [storage.results.job(each).state for each in (replay, calibration)] == [JobState.DONE] * 2
 
 
+def test_a_replay_does_not_wait_for_what_smoothing_has_to_catch_up_with(storage: SqlStorage) -> None:
+    done: list[str] = []
+    runner = runner_of(storage, quarters(done))
+    for spacecraft_id in "abc":
+        add(storage, JobKind.SMOOTHING, spacecraft_id)
+    assert runner.poll_once()
+    add(storage, JobKind.REPLAY)
+    while runner.poll_once():
+        pass
+    assert done[:9] == ["smoothing", "replay"] * 4 + ["smoothing"]
+    assert done.count("smoothing") == 12
+
+
 def test_a_calibration_that_is_started_during_a_piece_comes_next(storage: SqlStorage, wait: Any) -> None:
     """By the thread, as in the service: no job is asked for twice, nobody waits for a poll."""
     is_in_piece, may_go, done = threading.Event(), threading.Event(), list[str]()
