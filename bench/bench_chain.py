@@ -96,7 +96,7 @@ def _works(steps: int) -> dict[str, Callable[[], float]]:
         for carriers, rows in ((16, 1), (32, 1), (16, _AT_ONCE)):
             at_once = "live" if rows == 1 else f"blocks of {rows} rows"
             works[f"chain, {name}, {carriers} carriers, {at_once}"] = partial(
-                _chain_s, carriers, steps, methods, has_commands=has_commands, rows=rows
+                chain_row_s, carriers, steps, methods, has_commands=has_commands, rows=rows
             )
     return works
 
@@ -213,7 +213,7 @@ def _chain(
     return chain
 
 
-def _chain_s(carriers: int, steps: int, methods: Sequence[Method], *, has_commands: bool, rows: int) -> float:
+def chain_row_s(carriers: int, steps: int, methods: Sequence[Method], *, has_commands: bool, rows: int) -> float:
     """Return the mean time of a row of a chain that takes some rows at once."""
     payload, seed = FlightPayload.make(carriers, 5), 5
     chain = _chain(payload, payload.spacecraft(), methods, has_commands=has_commands)

@@ -7,13 +7,13 @@ import pytest
 import synthetic_payload as synthetic
 from geometry_flight import Flight, FlightPayload
 
-from bench.bench_chain import measure
+from bench.bench_chain import chain_row_s
 from service.core import compiled_entry
-from service.pipeline.chain import Chain
+from service.pipeline.chain import METHODS, Chain
 from service.pipeline.config import ChainConfig
 from service.pipeline.first_rows import compile_rows
 from service.pipeline.inputs.knowledge import Knowledge, update
-from service.records.catalogue import FlexibleMode, Method, Release
+from service.records.catalogue import FlexibleMode, Release
 from service.records.inputs import (
     AlignmentSet,
     CalibrationActivation,
@@ -283,9 +283,10 @@ def test_momentum_and_rate_are_known_while_they_are_fresh_in_whatever_order_they
 
 
 @pytest.mark.slow
-def test_rows_of_a_spacecraft_find_their_machine_code(monkeypatch):
+@pytest.mark.parametrize("rows", [1, 8])
+def test_rows_of_a_spacecraft_find_their_machine_code(monkeypatch, rows):
     compile_rows()
     copied, plain = [], compiled_entry._plain
     monkeypatch.setattr(compiled_entry, "_plain", lambda value: copied.append(value) or plain(value))
-    measure(16, 30, (Method.ROBUST,), has_commands=False)
+    chain_row_s(16, 30, METHODS, has_commands=True, rows=rows)
     assert copied == []
