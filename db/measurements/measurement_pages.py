@@ -9,7 +9,7 @@ from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
-from sqlalchemy import ColumnElement, Connection, Row, Select, and_, func, select
+from sqlalchemy import ColumnElement, Connection, Row, Select, func, select
 
 from db.database import beyond, newest_rows, start_of_last, within
 from db.encoding.measurement_rows import details_of, measurement_of, powers_of
@@ -187,8 +187,9 @@ class MeasurementPages:
 
     def of_numbers(self, after: int, upto: int, *, is_compared: bool) -> list[Measurement]:
         """Return the rows with a journal number in (after, upto], in no order."""
-        is_next = and_(measurement.c.number > after, measurement.c.number <= upto)
-        rows = self._connection.execute(self._rows(Chosen(EVER), FULL).where(is_next)).all()
+        # no bound of epochs: with one the planner goes through all rows in their order
+        is_next = (measurement.c.spacecraft_key == self.key, measurement.c.number > after, measurement.c.number <= upto)
+        rows = self._connection.execute(select(*FULL).where(*is_next)).all()
         if is_compared:
             sound_rows(measurement, rows)
         found = [measurement_of(row, self.names[row.source_key]) for row in rows]

@@ -7,7 +7,7 @@ from functools import cache, partial
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Connection, Table, and_, func, select, tuple_
+from sqlalchemy import Connection, Table, and_, func, select
 
 from db.database import newest_rows, page_of, position_of, start_of_last, within
 from db.encoding.column_blob import ColumnBlob, Positions
@@ -164,12 +164,13 @@ def newest_sealed_us(connection: Connection, key: int) -> int:
 
 def stored_positions(connection: Connection, of: RowSeries, wanted: set[Cursor]) -> set[Cursor]:
     """Return those of some (epoch, number), at least one, that are stored."""
-    names, ordered = (of.table.c.epoch_us, of.table.c.number), sorted(wanted)
-    found: set[Cursor] = set()
-    for start in range(0, len(ordered), _LOOKUP):
-        query = select(*names).where(*of.of_rows(), tuple_(*names).in_(ordered[start : start + _LOOKUP]))
-        found.update((row[0], row[1]) for row in connection.execute(query))
-    for head in heads(connection, of.of_segments(), ordered[0][0], ordered[-1][0] + 1):
+    epoch, number = of.table.c.epoch_us, of.table.c.number
+    # by epoch alone: for pairs SQLite goes through every row of the series
+    epochs_us, found = sorted({each[0] for each in wanted}), set[Cursor]()
+    for start in range(0, len(epochs_us), _LOOKUP):
+        query = select(epoch, number).where(*of.of_rows(), epoch.in_(epochs_us[start : start + _LOOKUP]))
+        found |= wanted.intersection((row[0], row[1]) for row in connection.execute(query))
+    for head in heads(connection, of.of_segments(), epochs_us[0], epochs_us[-1] + 1):
         each = read_results(connection, head)
         found |= wanted.intersection(zip(each.epochs_us.tolist(), each.numbers.tolist(), strict=True))
     return found
