@@ -189,7 +189,8 @@ class MeasurementPages:
         """Return the rows with a journal number in (after, upto], in no order."""
         # no bound of epochs: with one the planner goes through all rows in their order
         is_next = (measurement.c.spacecraft_key == self.key, measurement.c.number > after, measurement.c.number <= upto)
-        rows = self._connection.execute(select(*FULL).where(*is_next)).all()
+        query: Select[Any] = select(*FULL).where(*is_next)
+        rows = self._connection.execute(query).all()
         if is_compared:
             sound_rows(measurement, rows)
         found = [measurement_of(row, self.names[row.source_key]) for row in rows]
