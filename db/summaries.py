@@ -154,7 +154,7 @@ def seasons(
     """Yield parts of a window that hold rows, whole days but for its ends, each with a read transaction.
 
     A row is sealed or not within one transaction, and never leaves its day: each is counted once. ``next_us`` gives an
-    epoch up to which no row stands from the given one on, None where none follows.
+    epoch up to which no row lies from the given one on, None where none follows.
     """
     epoch_us: int | None = window.start_us
     while epoch_us is not None and epoch_us < window.stop_us:
@@ -170,7 +170,7 @@ def seasons(
 def next_row_us(
     connection: Connection, column: ColumnElement[int], rows: Conditions, segments: Conditions, epoch_us: int
 ) -> int | None:
-    """Return an epoch up to which no row stands from the given one on; None where none follows.
+    """Return an epoch up to which no row lies from the given one on; None where none follows.
 
     Parameters
     ----------

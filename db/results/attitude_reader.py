@@ -14,11 +14,10 @@ from sqlalchemy import Connection, and_, func, select
 from db.database import ALL_ROWS, newest_rows
 from db.encoding.measurement_runs import ChunkRun
 from db.encoding.record_codec import decode
-from db.encoding.result_rows import attitude_of
 from db.encoding.segments import RowSeries, SegmentCache
 from db.measurements.measurement_pages import EVER, LIGHT, Chosen, MeasurementPages
 from db.measurements.retention import kept_from_us
-from db.results.stored_rows import newest_row, stored_rows
+from db.results.stored_rows import attitude_of, newest_row, stored_rows
 from db.schema.columns import sound_rows
 from db.schema.tables import attitude, calibration, head, journal, retention_mark
 from service.ports.archive import LIVE, ListPart

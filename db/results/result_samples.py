@@ -7,11 +7,10 @@ import numpy as np
 from sqlalchemy import Connection, select
 
 from db.database import Database
-from db.encoding.result_rows import attitude_of, torque_of, unpack_carriers
 from db.encoding.segments import RowSeries, SegmentHead, heads
 from db.measurements.retention import kept_from_us
 from db.results.replays import check_held
-from db.results.stored_rows import read_results, unsealed_rows
+from db.results.stored_rows import attitude_of, read_results, torque_of, unpack_carriers, unsealed_rows
 from db.schema.tables import attitude, summary
 from db.summaries import bins_within, next_row_us, seasons
 from service.core.rows import Summaries

@@ -8,11 +8,10 @@ from sqlalchemy import Connection, LargeBinary, func, select, tuple_
 
 from db.database import Database
 from db.encoding.column_blob import arrow
-from db.encoding.result_rows import attitude_of, torque_of
 from db.encoding.segments import DAY_US, RowSeries, SegmentHead, day_of
 from db.results.result_samples import ATTITUDE, IMPULSE, carrier_figures, carriers_name, figures
 from db.results.state_history import STATES, stretch_blob, stretch_of
-from db.results.stored_rows import HEAD_COLUMNS, TABLES, read_results
+from db.results.stored_rows import HEAD_COLUMNS, TABLES, attitude_of, read_results, torque_of
 from db.schema.columns import Figure
 from db.schema.tables import attitude
 from db.sealing import Position, seal_day, sound_and_damaged

@@ -14,14 +14,6 @@ from sqlalchemy import ColumnElement, Connection, Row, and_, func, select, updat
 
 from db.connection.writer import insert_new
 from db.database import ALL_ROWS, Database, lock_head, position_of
-from db.encoding.result_rows import (
-    attitude_of,
-    attitude_values,
-    pack_carriers,
-    torque_of,
-    torque_values,
-    unpack_carriers,
-)
 from db.encoding.segments import RowSeries
 from db.measurements.archive import store_inputs
 from db.results import result_sealing
@@ -33,12 +25,18 @@ from db.results.replays import SqlReplays, check_held, note_rows
 from db.results.result_samples import sampled_carriers, sampled_figures
 from db.results.state_history import state_history
 from db.results.stored_rows import (
+    attitude_of,
+    attitude_values,
     newest_row,
     next_sealed_sequence,
     numbers_where,
+    pack_carriers,
     sealed_of_sequences,
     stored_positions,
     stored_rows,
+    torque_of,
+    torque_values,
+    unpack_carriers,
 )
 from db.schema.columns import sound_rows
 from db.schema.tables import attitude, head, torque

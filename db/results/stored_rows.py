@@ -1,6 +1,7 @@
-"""Rows of results as stored: in tables, and in the segments of sealed days."""
+"""Rows of results as stored: in tables, in the segments of sealed days, and as records; carriers' results as bytes."""
 
 import math
+import struct
 from collections import namedtuple
 from collections.abc import Iterator
 from functools import cache, partial
@@ -11,13 +12,62 @@ from sqlalchemy import Connection, Table, and_, func, select
 
 from db.database import newest_rows, page_of, position_of, start_of_last, within
 from db.encoding.column_blob import ColumnBlob, Positions
+from db.encoding.record_codec import RecordCodec
 from db.encoding.segments import RowSeries, SegmentHead, heads, heads_where, opened
 from db.schema.columns import Figure, sound_rows
 from db.schema.tables import attitude, segment, torque
 from service.ports.archive import LIVE, Cursor, ListPart
 from service.records.calibration import Window
 from service.records.catalogue import LIVE_METHODS
-from service.records.levels.attitude import BoolArray, IntArray
+from service.records.levels.attitude import (
+    STEP_DB,
+    AttitudeRow,
+    BoolArray,
+    CarrierResults,
+    FloatArray,
+    IntArray,
+    TorqueCommand,
+)
+
+_ATTITUDE, _TORQUE = RecordCodec(AttitudeRow, attitude), RecordCodec(TorqueCommand, torque)
+#: record of a row of ``select(attitude)``, or of ``select(torque)``
+attitude_of, torque_of = _ATTITUDE.record, _TORQUE.record
+
+
+def attitude_values(key: int, version: str, row: AttitudeRow, sequence: int | None) -> dict[str, Any]:
+    """Return the columns of an attitude row."""
+    return {"spacecraft_key": key, "version": version, "sequence": sequence, **_ATTITUDE.values(row)}
+
+
+def torque_values(key: int, version: str, command: TorqueCommand, sequence: int | None) -> dict[str, Any]:
+    """Return the columns of a torque command."""
+    return {"spacecraft_key": key, "version": version, "sequence": sequence, **_TORQUE.values(command)}
+
+
+#: of a level: absent, and the greatest
+_NONE, _MOST = -(1 << 15), (1 << 15) - 1
+_PLAN = struct.Struct("<i")
+_CARRIER_BYTES = 5
+_STATE_BITS = 4
+
+
+def pack_carriers(results: CarrierResults) -> bytes:
+    """Return the results of a row as bytes."""
+    words = (results.state | results.hypothesis << _STATE_BITS).astype(np.uint8)
+    steps = np.rint(np.concatenate((results.deviation_db, results.residual_db)) / STEP_DB)
+    levels = np.where(np.isnan(steps), _NONE, np.minimum(np.maximum(steps, -_MOST), _MOST)).astype("<i2")
+    return b"".join((_PLAN.pack(results.plan_id), levels.tobytes(), words.tobytes()))
+
+
+def unpack_carriers(blob: bytes) -> CarrierResults:
+    """Return the results of a row."""
+    count = (len(blob) - _PLAN.size) // _CARRIER_BYTES
+    levels = np.frombuffer(blob, dtype="<i2", count=2 * count, offset=_PLAN.size).reshape(2, count)
+    values: FloatArray = np.where(levels == _NONE, np.nan, levels * STEP_DB)
+    words: IntArray = np.frombuffer(blob, dtype=np.uint8, offset=_PLAN.size + 4 * count).astype(np.int64)
+    low = (1 << _STATE_BITS) - 1
+    return CarrierResults(_PLAN.unpack_from(blob)[0], values[0], values[1], words & low, words >> _STATE_BITS)
+
 
 #: columns of the tables that the head of a segment states, or that are made from the others
 HEAD_COLUMNS = ("spacecraft_key", "version", "method", "checksum")

@@ -34,7 +34,7 @@ from service.pipeline.estimation.method import (
     RowEvidence,
     carrier_results,
     carrier_state,
-    nothing,
+    nothing_known,
 )
 from service.pipeline.estimation.paper.runner import PaperRunner
 from service.pipeline.estimation.robust.row_recorder import RowRecorder
@@ -78,7 +78,7 @@ class ChainRow(NamedTuple):
     #: of the first method that runs, None of a late row
     levels: CarrierLevels | None = None
     #: returns the evidence of a row in time on commands, None where no method has any
-    command_evidence: Callable[[], CommandEvidence | None] = nothing
+    command_evidence: Callable[[], CommandEvidence | None] = nothing_known
 
 
 class Chain:
@@ -210,11 +210,14 @@ class Chain:
         for number, measurement in enumerate(measurements):
             self._last = (measurement, True)
             self._remember_epoch(measurement.epoch_us)
-            found = [each[number] for each in by_method]
-            self._disagreement = compare(self._disagreement, [each.row for each in found], self._config.robust)
-            outcome = self._with_command(found, tuple([each[number] for each in carriers]))
-            evidence = next((each.command_evidence for each in found if each.command_evidence is not nothing), nothing)
-            rows.append(ChainRow(measurement, outcome, found[0].levels, evidence))
+            method_rows = [each[number] for each in by_method]
+            self._disagreement = compare(self._disagreement, [each.row for each in method_rows], self._config.robust)
+            outcome = self._with_command(method_rows, tuple([each[number] for each in carriers]))
+            evidence = next(
+                (each.command_evidence for each in method_rows if each.command_evidence is not nothing_known),
+                nothing_known,
+            )
+            rows.append(ChainRow(measurement, outcome, method_rows[0].levels, evidence))
         return rows
 
     def _rows(
@@ -348,16 +351,16 @@ class Chain:
         periods_us = [later - earlier for earlier, later in pairwise(self._recent_us.tolist())]
         return float(statistics.median(periods_us)) / US_PER_S
 
-    def _with_command(self, found: Sequence[MethodRow], carriers: tuple[CarrierResults | None, ...]) -> Outcome:
+    def _with_command(self, method_rows: Sequence[MethodRow], carriers: tuple[CarrierResults | None, ...]) -> Outcome:
         """Return the outcome of a row with the torque command that follows from it."""
-        rows = tuple([each.row for each in found])
+        rows = tuple([each.row for each in method_rows])
         spacecraft, apart_deg = self._knowledge.spacecraft, self._disagreement.apart_deg
         if spacecraft is None or not self._has_commands:
             return Outcome(rows, None, disagreement_deg=apart_deg, carriers=carriers)
         wanted = spacecraft.control.method
         if all(runner.method is not wanted for runner in self._runners):
             return Outcome(rows, None, disagreement_deg=apart_deg, carriers=carriers)
-        source = next((each for each in found if each.row.method is wanted), None)
+        source = next((each for each in method_rows if each.row.method is wanted), None)
         driving = self._row_of_silent(rows[0], wanted) if source is None else source.row
         config, disturbance = self._config.torque, None if source is None else source.disturbance()
         is_automatic, body_rate_deg_s = spacecraft.control.release is Release.AUTOMATIC, None

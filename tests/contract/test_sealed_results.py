@@ -7,9 +7,9 @@ import pytest
 from sqlalchemy import func, select, update
 
 from db import sealing
-from db.encoding.result_rows import pack_carriers
 from db.encoding.segments import DAY_US
 from db.measurements import retention
+from db.results.stored_rows import pack_carriers
 from db.schema.tables import attitude, segment, torque
 from db.storage import SqlStorage
 from service.errors import StorageError

@@ -22,7 +22,7 @@ import numpy as np
 
 from service.core.arrays import BoolArray, FloatArray
 from service.core.estimation.noise import Spectra, fitted_variances, grouped_spectra, pooled_variances, regular_grid
-from service.core.estimation.robust import MAD_TO_SIGMA, middle_values
+from service.core.estimation.robust_statistics import MAD_TO_SIGMA, middle_values
 
 #: s, correlation times.
 LADDER_S = (300.0, 1200.0, 7200.0, 36_000.0)

@@ -55,7 +55,7 @@ class CommandEvidence(NamedTuple):
     unreported_log_ratio: float | None
 
 
-def nothing() -> None:
+def nothing_known() -> None:
     """Return what a method knows that knows nothing."""
 
 
@@ -66,9 +66,9 @@ class MethodRow(NamedTuple):
     #: figures of the carriers, None where nothing was computed; they are not copied
     levels: CarrierLevels | None = None
     #: returns the torque that acts without being fed forward, None where the method knows of none
-    disturbance: Callable[[], Disturbance | None] = nothing
+    disturbance: Callable[[], Disturbance | None] = nothing_known
     #: returns the evidence on commands, None where the method has none
-    command_evidence: Callable[[], CommandEvidence | None] = nothing
+    command_evidence: Callable[[], CommandEvidence | None] = nothing_known
 
 
 class MethodRunner(Protocol):

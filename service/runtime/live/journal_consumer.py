@@ -32,7 +32,7 @@ _INPUTS_AT_ONCE = 1000
 _FOR_EVER_US = _EVERY_NUMBER = 1 << 62
 
 
-#: rows that the chain takes at once where nobody looks at it between them, and of a live journal
+#: most rows of a block of a replay, and of a live journal
 BLOCK_ROWS, _LIVE_ROWS = 128, 16
 
 
@@ -140,7 +140,7 @@ class StepResults:
     released: list[StoredRow] = field(default_factory=list)
 
     def note(self, chain: Chain, rows: Sequence[ChainRow], *, is_watched: bool) -> None:
-        """Note what came of rows; alarms, where somebody watches, are not told of late ones."""
+        """Note what came of rows; late ones are no input of alarms, and none is where there are no alarms."""
         for row in rows:
             if row.outcome is not None:
                 self.outcomes.append(row.outcome)

@@ -10,8 +10,8 @@ from geometry_flight import HOUR, MINUTE, START_US, FlightPayload
 from set_clock import SetClock
 from waiting import wait_until as wait_for
 
-from db.encoding.result_rows import pack_carriers
 from db.results import jobs
+from db.results.stored_rows import pack_carriers
 from db.storage import SqlStorage
 from service.pipeline.config import AlignmentConfig, CalibrationConfig, ChainConfig
 from service.ports.archive import LIVE, ListPart

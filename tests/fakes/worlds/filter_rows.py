@@ -24,7 +24,7 @@ from service.core.estimation.filtering.row_block import (
 
 
 class Verdict(NamedTuple):
-    """Whether control may use a row."""
+    """Permission of control by a row, and the reasons against it."""
 
     is_control_allowed: bool
     #: (yaw, roll, pitch)

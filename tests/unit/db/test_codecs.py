@@ -11,7 +11,7 @@ from hypothesis.extra.numpy import arrays
 
 from db.encoding.measurement_rows import canonical, details_of, masks_of, powers_of, stored_arrays
 from db.encoding.record_codec import decode, decode_all, decode_input, encode, encode_all, kind_of
-from db.encoding.result_rows import pack_carriers, unpack_carriers
+from db.results.stored_rows import pack_carriers, unpack_carriers
 from service.core.estimation.filtering.anchor import HYPOTHESES
 from service.errors import StorageError
 from service.records.inputs import KINDS, AttitudeReference, Operation, PlanChange

@@ -14,7 +14,7 @@ from sqlalchemy.schema import CreateTable
 
 from db.connection.engines import FileWatch, open_engines, translated_faults
 from db.connection.writer import GROUP_LIMIT, Writer, insert_new
-from db.encoding.result_rows import attitude_values
+from db.results.stored_rows import attitude_values
 from db.schema.columns import checksum_of
 from db.schema.layout import create_tables
 from db.schema.tables import attitude, measurement

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from service.core.arrays import BoolArray, FloatArray, IntArray
-from service.core.estimation.robust import MAD_TO_SIGMA, middle_values
+from service.core.estimation.robust_statistics import MAD_TO_SIGMA, middle_values
 
 #: deg, yaw, roll, pitch: a stretch ends beyond this; yaw moves a station eight times less.
 STILL_LIMIT_DEG = (0.12, 0.06, 0.06)

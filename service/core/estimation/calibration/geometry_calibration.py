@@ -45,7 +45,7 @@ from service.core.estimation.calibration.geometry_columns import (
 from service.core.estimation.calibration.joint_tukey import JointProblem, SeparableFit, fit_jointly
 from service.core.estimation.calibration.whitened_fit import coloured_noise, whitened_fit
 from service.core.estimation.noise_identification import IdentifiedNoise, identify_noise
-from service.core.estimation.robust import middle_values
+from service.core.estimation.robust_statistics import middle_values
 
 #: s, longest stretch that is averaged.
 STRETCH_S = 600.0

@@ -13,7 +13,7 @@ import numpy as np
 
 from service.core.arrays import BoolArray, FloatArray, IntArray
 from service.core.estimation.calibration.geometry_columns import BEAM_SIZE, DOWNLINK_PRIOR_DB_PER_DEG, SOLAR_SIZE
-from service.core.estimation.robust import MAD_TO_SIGMA, TUKEY_SIGMAS, middle_values, tukey_weight
+from service.core.estimation.robust_statistics import MAD_TO_SIGMA, TUKEY_SIGMAS, middle_values, tukey_weight
 
 
 class SeparableFit(NamedTuple):

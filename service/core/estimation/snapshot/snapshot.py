@@ -8,7 +8,7 @@ import numpy as np
 
 from service.core.arrays import BoolArray, FloatArray, IntArray
 from service.core.estimation.calibration.geometry_columns import QuadraticResponse, response_errors
-from service.core.estimation.robust import TUKEY_SIGMAS, middle_values
+from service.core.estimation.robust_statistics import TUKEY_SIGMAS, middle_values
 from service.core.estimation.snapshot.snapshot_steps import (
     PRIOR_WEIGHT,
     Measured,

@@ -7,7 +7,7 @@ import numpy as np
 
 from service.core.arrays import BoolArray, FloatArray, IntArray
 from service.core.estimation.calibration.geometry_columns import QuadraticResponse, predict_jacobian
-from service.core.estimation.robust import TUKEY_SIGMAS, tukey_weight
+from service.core.estimation.robust_statistics import TUKEY_SIGMAS, tukey_weight
 
 #: Sigmas up to which a carrier keeps its full weight at the end.
 CORE_SIGMAS = 2.5

@@ -180,7 +180,7 @@ def _row(
     """Return the archive's row of one outcome."""
     angles = Axes(*figures.attitude_deg)
     # what all levels have in common went into the angles
-    is_told = all(map(math.isfinite, angles)) and "common_change" not in inhibitions
+    has_angles = all(map(math.isfinite, angles)) and "common_change" not in inhibitions
     return AttitudeRow(
         epoch_us=measurement.epoch_us,
         received_at_us=measurement.received_at_us,
@@ -189,7 +189,7 @@ def _row(
         attitude_deg=angles,
         sigma_deg=Axes(*figures.sigma_deg),
         rates_deg_s=None if is_late else Axes(*figures.rates_deg_s),
-        status=Status.ACQUIRED if is_told else Status.INVALID,
+        status=Status.ACQUIRED if has_angles else Status.INVALID,
         control_allowed=not inhibitions,
         # yaw follows from roll and from what was commanded, whatever the fix says of it
         control_allowed_axes=(not inhibitions,) * 3,

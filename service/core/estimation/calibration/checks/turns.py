@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from service.core.arrays import FloatArray, IntArray
 from service.core.estimation.calibration.geometry_columns import BEAM_SIZE, CarrierGeometry, response_monomials
 from service.core.estimation.calibration.whitened_fit import ColouredNoise, stretch_variance_db2, whitened_rows
-from service.core.estimation.robust import MAD_TO_SIGMA, middle_values
+from service.core.estimation.robust_statistics import MAD_TO_SIGMA, middle_values
 
 #: from epochs (K,), s, to yaw, roll, pitch (K, 3), deg, by the sensor; NaN = not known
 Attitude = Callable[[FloatArray], FloatArray]
