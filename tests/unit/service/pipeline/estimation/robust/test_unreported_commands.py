@@ -11,7 +11,7 @@ from service.pipeline.estimation.robust import runner as robust_runner
 from service.pipeline.estimation.robust.attitude_rows import known_disturbance
 from service.records.catalogue import AxisTorques, FedForwardTorque, Method, Onboard
 from service.records.inputs import AlignmentSet, Correction, SpacecraftChange
-from service.records.levels.attitude import AppliedCommand, Axes, Pulse, ReleasedCommand, ReportedCommand
+from service.records.levels.attitude import AppliedCommand, Axes, Pulse, ReleasedCommand, ReportedCommand, Status
 
 PAYLOAD = FlightPayload.make()
 ZERO = Axes(0.0, 0.0, 0.0)
@@ -385,3 +385,14 @@ def test_a_torque_that_was_called_none_is_told_as_none(flight):
     told = disturbance(flight)
     assert np.abs([told.constant_n_m, told.cosine_n_m, told.sine_n_m]).max() < 1e-10
     assert max(told.sigma_n_m) <= 1e-8
+
+
+def test_a_ninth_unreported_command_is_one_share_more():
+    flight = chain_of()
+    flown(flight, {}, last=4)
+    size = len(state_of(flight).filter.mean)
+    for counter in range(1, 13):
+        flight.chain.update(released(flight, counter))
+        row = flight.robust(flight.row(4 + counter))
+        assert row.status is Status.ACQUIRED
+        assert len(state_of(flight).released) == len(state_of(flight).filter.mean) - size == counter
