@@ -13,7 +13,6 @@ import logging
 import math
 import statistics
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from typing import NamedTuple
@@ -147,7 +146,7 @@ class Chain:
         self._knowledge = update(self._knowledge, content, self._lookup)
         if self._override is not None:
             active = {**self._knowledge.active, self._override.request.method: self._override}
-            self._knowledge = replace(self._knowledge, active=active)
+            self._knowledge = self._knowledge._replace(active=active)
         for runner in self._runners:
             runner.on_input(content, self._knowledge)
         self._remember_command(content)
@@ -257,7 +256,7 @@ class Chain:
     def restore(self, state: ChainState) -> None:
         """Go on from a saved state; the slow inputs of before, but for the alignment, are known already."""
         alignment = self._lookup.alignment(state.alignment_id)
-        self._knowledge = replace(self._knowledge, alignment=alignment)
+        self._knowledge = self._knowledge._replace(alignment=alignment)
         for runner in self._runners:
             saved = state.robust if runner.method is Method.ROBUST else state.paper
             if saved is not None:

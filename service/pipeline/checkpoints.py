@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from service.core.estimation.filtering.filter_state import CARRIER, WATCH
+from service.core.estimation.filtering.filter_state import CARRIER, RATES, SENSOR, WATCH
 from service.core.estimation.filtering.readings import READING
 from service.core.estimation.paper.downlink_fade import FADE
 from service.core.estimation.paper.row import COUNTERS, LEVEL, PENDING
@@ -205,7 +205,7 @@ class ChainState(NamedTuple):
 
 
 #: records of arrays of the state
-RECORDS = (CARRIER, WATCH, READING, COUNTERS, FADE, PENDING, LEVEL)
+RECORDS = (CARRIER, WATCH, SENSOR, RATES, READING, COUNTERS, FADE, PENDING, LEVEL)
 _LAYOUT = Layout(ChainState, RECORDS)
 
 

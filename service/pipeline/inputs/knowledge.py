@@ -3,8 +3,8 @@
 import math
 from bisect import bisect_left, bisect_right, insort
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import NamedTuple, Protocol
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -154,18 +154,21 @@ class Lookup(Protocol):
         """Return an alignment."""
 
 
-@dataclass(frozen=True)
-class Knowledge:
+#: nobody may write to it
+_NOTHING: dict[Any, Any] = {}
+
+
+class Knowledge(NamedTuple):
     """Slow inputs in force now."""
 
     spacecraft: Spacecraft | None = None
     plan: CarrierPlan | None = None
     ephemeris: Ephemeris | None = None
     #: active calibration of each kind of fit
-    active: dict[CalibrationMethod, Calibration] = field(default_factory=dict)
+    active: dict[CalibrationMethod, Calibration] = _NOTHING
     alignment: Alignment | None = None
     #: newest revision of each operation, by id
-    operations: dict[int, Operation] = field(default_factory=dict)
+    operations: dict[int, Operation] = _NOTHING
     #: newest records of the momentum of the wheels, in order of epochs
     momenta: tuple[TelemetryRecord, ...] = ()
     #: newest records that say whether thrusters act, in order of epochs
@@ -173,9 +176,9 @@ class Knowledge:
     #: newest records of the rate of the body about every axis, in order of epochs
     rates: tuple[TelemetryRecord, ...] = ()
     #: reports of rain, by station and source
-    weather: WeatherReports = field(default_factory=dict)
+    weather: WeatherReports = _NOTHING
     #: records of polarimeters, by source
-    polarization: PolarizationRecords = field(default_factory=dict)
+    polarization: PolarizationRecords = _NOTHING
     #: newest word of the interlock; none: it never withheld anything
     hold: InterlockHold | None = None
 
@@ -251,18 +254,18 @@ def update(knowledge: Knowledge, content: SlowInput, lookup: Lookup) -> Knowledg
     """Return the knowledge after one slow input; kinds that the present methods do not use leave it as it is."""
     match content:
         case SpacecraftChange():
-            return replace(knowledge, spacecraft=content.spacecraft)
+            return knowledge._replace(spacecraft=content.spacecraft)
         case PlanChange():
-            return replace(knowledge, plan=lookup.plan(content.plan_id))
+            return knowledge._replace(plan=lookup.plan(content.plan_id))
         case EphemerisChange():
-            return replace(knowledge, ephemeris=lookup.ephemeris(content.ephemeris_id))
+            return knowledge._replace(ephemeris=lookup.ephemeris(content.ephemeris_id))
         case CalibrationActivation():
             calibration = lookup.calibration(content.calibration_id)
-            return replace(knowledge, active={**knowledge.active, calibration.request.method: calibration})
+            return knowledge._replace(active={**knowledge.active, calibration.request.method: calibration})
         case AlignmentSet():
-            return replace(knowledge, alignment=lookup.alignment(content.alignment_id))
+            return knowledge._replace(alignment=lookup.alignment(content.alignment_id))
         case Operation():
-            return replace(knowledge, operations={**knowledge.operations, content.id: content})
+            return knowledge._replace(operations={**knowledge.operations, content.id: content})
         case TelemetryRecord() | WeatherReport() | PolarizationRecord() | InterlockHold():
             return _with_word(knowledge, content)
         case _:
@@ -274,11 +277,11 @@ def _with_word(
 ) -> Knowledge:
     """Return the knowledge with a word of the interlock or a record of a sensor."""
     if isinstance(reported, PolarizationRecord):
-        return replace(knowledge, polarization=with_polarization_record(knowledge.polarization, reported))
+        return knowledge._replace(polarization=with_polarization_record(knowledge.polarization, reported))
     if isinstance(reported, WeatherReport):
-        return replace(knowledge, weather=with_report(knowledge.weather, reported))
+        return knowledge._replace(weather=with_report(knowledge.weather, reported))
     if isinstance(reported, InterlockHold):
-        return replace(knowledge, hold=reported)
+        return knowledge._replace(hold=reported)
     momenta, rates, thrusters = knowledge.momenta, knowledge.rates, knowledge.thrusters
     if reported.wheel_momentum_n_m_s is not None:
         momenta = _with_telemetry(momenta, reported)
@@ -286,15 +289,17 @@ def _with_word(
         rates = _with_telemetry(rates, reported)
     if reported.thrusters_active is not None:
         thrusters = _with_telemetry(thrusters, reported)
-    return replace(knowledge, momenta=momenta, rates=rates, thrusters=thrusters)
+    return knowledge._replace(momenta=momenta, rates=rates, thrusters=thrusters)
 
 
 def _with_telemetry(records: tuple[TelemetryRecord, ...], record: TelemetryRecord) -> tuple[TelemetryRecord, ...]:
     """Return the newest records with one more; of two of one epoch the first counts."""
-    k = bisect_left(records, record.epoch_us, key=_epoch_us)
-    if k < len(records) and records[k].epoch_us == record.epoch_us:
-        return records
-    return (*records[:k], record, *records[k:])[-_MOST_RECORDS:]
+    k = len(records)
+    if records and record.epoch_us <= records[-1].epoch_us:
+        k = bisect_left(records, record.epoch_us, key=_epoch_us)
+        if records[k].epoch_us == record.epoch_us:
+            return records
+    return (*records[max(0, len(records) + 1 - _MOST_RECORDS) : k], record, *records[k:])
 
 
 def records_between(records: tuple[TelemetryRecord, ...], after_us: int, to_us: int) -> tuple[TelemetryRecord, ...]:

@@ -6,13 +6,14 @@ the noise. A block whose ratios are all the same to the last digit measured noth
 
 import math
 import statistics
-from bisect import insort
+from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 
 from service.core.estimation.filtering.filter_model import LearnedFeed, PolarimeterModel
+from service.core.estimation.filtering.plant import DAY_US
 from service.core.estimation.filtering.polarimeter import (
     AngleBlock,
     angle_deg,
@@ -36,6 +37,8 @@ _BLOCK_US, _LATE_US = 300 * US_PER_S, 900 * US_PER_S
 _STEEP_DEG = 0.5
 #: share of a daily wave that changes from day to day, and time in which it becomes another, h
 _CHANGED_SHARE, _CHANGED_H = 0.5, 720.0
+#: time between two knots of the turn of the orbit, and days of them that are kept
+_KNOT_US, _MOST_DAYS = 300 * US_PER_S, 40
 #: records of one polarimeter that are kept
 _MOST = 120
 
@@ -45,10 +48,15 @@ PolarizationRecords = dict[str, tuple[PolarizationRecord, ...]]
 
 def with_polarization_record(records: PolarizationRecords, record: PolarizationRecord) -> PolarizationRecords:
     """Return the records with one more; those half an hour older than the newest of their source are left out."""
-    every = list(records.get(record.source, ()))
-    insort(every, record, key=lambda each: each.epoch_us)
-    kept = tuple(each for each in every[-_MOST:] if every[-1].epoch_us - each.epoch_us <= KEPT_US)
-    return {**records, record.source: kept}
+    every = records.get(record.source, ())
+    k = bisect_right(every, record.epoch_us, key=_epoch_us)
+    every = (*every[:k], record, *every[k:])
+    first = bisect_left(every, every[-1].epoch_us - KEPT_US, key=_epoch_us)
+    return {**records, record.source: every[max(first, len(every) - _MOST) :]}
+
+
+def _epoch_us(record: PolarizationRecord) -> int:
+    return record.epoch_us
 
 
 def used_polarimeters(
@@ -122,6 +130,43 @@ def orbit_turn_deg(
         return np.zeros(len(epochs_us))
     track = predicted_track(ephemeris.track)
     return np.asarray(frame_turn_deg(track, epochs_us, spacecraft.longitude_deg) @ np.array(sight))
+
+
+class OrbitTurn:
+    """What the orbit turns a body about a line of sight, quickly: cubics through knots of five minutes.
+
+    Within 1e-6 deg of `orbit_turn_deg`, by the corners between the cubics of the track; its own value near the ends.
+
+    Parameters
+    ----------
+    ephemeris : Ephemeris
+        Orbit that holds.
+    spacecraft : Spacecraft
+        Whose body it is.
+    sight : tuple of float
+        Turn about the line by yaw, roll and pitch, deg/deg.
+    """
+
+    def __init__(self, ephemeris: Ephemeris, spacecraft: Spacecraft, sight: tuple[float, float, float]) -> None:
+        self._rows = partial(orbit_turn_deg, ephemeris, spacecraft, sight)
+        self._days: dict[int, list[float]] = {}
+
+    def __call__(self, epoch_us: int) -> float:
+        """Return the turn at an epoch, deg; NaN beyond the track."""
+        day, within_us = divmod(epoch_us, DAY_US)
+        if day not in self._days:
+            if len(self._days) >= _MOST_DAYS:
+                self._days.clear()
+            epochs_us = day * DAY_US + _KNOT_US * np.arange(-1, DAY_US // _KNOT_US + 2, dtype=np.int64)
+            self._days[day] = self._rows(epochs_us).tolist()
+        knot, left_us = divmod(within_us, _KNOT_US)
+        one, two, three, four = self._days[day][knot : knot + 4]
+        x = left_us / _KNOT_US
+        turned_deg = (x - 1.0) * (x - 2.0) / 2.0 * ((x + 1.0) * two - x / 3.0 * one)
+        turned_deg += (x + 1.0) * x / 2.0 * ((x - 1.0) / 3.0 * four - (x - 2.0) * three)
+        if math.isnan(turned_deg):
+            return float(self._rows(np.array([epoch_us], dtype=np.int64))[0])
+        return turned_deg
 
 
 @lru_cache(maxsize=64)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.motion import ORBITAL_RATE_PER_H
+from service.core.estimation.filtering.filter_model import ORBITAL_RATE_PER_H
 from service.pipeline.config import CalibrationConfig
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import Axes, FloatArray, IntArray

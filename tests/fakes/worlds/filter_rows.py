@@ -7,6 +7,7 @@ import numpy as np
 from service.core.arrays import FloatArray
 from service.core.estimation.filtering.advance import advance
 from service.core.estimation.filtering.declared import Declared
+from service.core.estimation.filtering.due_records import take_records
 from service.core.estimation.filtering.filter_model import KnownMotion
 from service.core.estimation.filtering.filter_state import FilterState
 from service.core.estimation.filtering.integrity import REASONS
@@ -14,6 +15,7 @@ from service.core.estimation.filtering.plant import FilterModel
 from service.core.estimation.filtering.prediction import hidden_states
 from service.core.estimation.filtering.row_block import (
     LOST,
+    RECORD,
     RowTrace,
     empty_block,
     empty_result,
@@ -21,6 +23,23 @@ from service.core.estimation.filtering.row_block import (
     write_declared,
     write_known,
 )
+
+
+def records_of(*values: dict[str, object]) -> np.ndarray:
+    """Return records (M,) of `RECORD` by the names of their values; others are zero."""
+    records = np.zeros(len(values), RECORD)
+    for record, each in zip(records, values, strict=True):
+        for name, value in each.items():
+            record[name] = value
+    return records
+
+
+def after_records(model: FilterModel, state: FilterState, records: np.ndarray, to_us: int) -> FilterState:
+    """Return the state after records (M,) of `RECORD` that are due before a row of an epoch."""
+    block = empty_block(1, len(model.carriers))._replace(records=records)
+    block.rows["epoch_us"], after = to_us, FilterState._make(each.copy() for each in state)
+    take_records(model, after, block, 0, empty_trace(0, 0, 0))
+    return after
 
 
 class Verdict(NamedTuple):
@@ -87,8 +106,15 @@ def step(
     declared: Declared | None = None,
     reported_wet: FloatArray | None = None,
     is_traced: bool = True,
+    records: np.ndarray | None = None,
 ) -> FilterStep:
-    """Return the filter after one row of deviations (N,), dB; ArithmeticError where its numbers were lost."""
+    """Return the filter after one row of deviations (N,), dB, and the records (M,) of `RECORD` that are due before it.
+
+    Raises
+    ------
+    ArithmeticError
+        Its numbers were lost.
+    """
     carriers, states = len(model.carriers), len(state.mean)
     block, result = empty_block(1, carriers, len(known.unreported)), empty_result(1, carriers)
     block.rows["epoch_us"], block.carriers["deviation_db"] = epoch_us, deviation_db
@@ -97,7 +123,10 @@ def step(
         block.carriers["reported_wet"] = reported_wet
     if declared is not None:
         write_declared(model, block, 0, declared)
-    trace = empty_trace(states, hidden_states(model, states), carriers) if is_traced else empty_trace(0, 0, 0)
+    if records is not None:
+        block = block._replace(records=records)
+    sizes = (states, hidden_states(model, states), carriers, len(block.records)) if is_traced else (0, 0, 0)
+    trace = empty_trace(*sizes)
     after = advance(model, state, block, result, trace)
     if result.rows["status"][0] == LOST:
         message = "the filter lost its numbers"

@@ -12,15 +12,20 @@ from service.core.estimation.filtering import (
     carrier_watch,
     command_watch,
     common_cause,
+    due_records,
     filter_model,
     filter_state,
     integrity,
     motion,
+    motion_sensor,
     motion_watch,
     plant,
+    polarimeter,
     prediction,
+    rate_sensor,
     row,
     row_block,
+    wheel_momentum,
 )
 from service.core.estimation.filtering.filter_state import FilterState
 from service.core.estimation.filtering.plant import TORQUES, FilterModel
@@ -42,6 +47,11 @@ _TAKE_ROWS = CompiledEntry(
         motion_watch,
         anchor,
         integrity,
+        motion_sensor,
+        polarimeter,
+        wheel_momentum,
+        rate_sensor,
+        due_records,
         row,
     ),
 )

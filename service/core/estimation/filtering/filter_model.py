@@ -23,6 +23,8 @@ import numpy as np
 
 from service.core.arrays import FloatArray, IntArray
 
+#: exchange of roll and yaw in the orbital frame, 1/h
+ORBITAL_RATE_PER_H = 0.2625162
 #: the correlation time whose coloured part also carries the error of the calibration, s
 MODEL_ERROR_TAU_S = 3600.0
 
@@ -170,7 +172,7 @@ class FilterSettings(NamedTuple):
     """Noise and dynamics of spacecraft and receiving chain; triples in the order yaw, roll, pitch; rates in deg/h."""
 
     #: exchange of roll and yaw at the orbital rate, 1/h; 0 where the on-board mode does not follow it
-    coupling_per_h: float = 0.2625162
+    coupling_per_h: float = ORBITAL_RATE_PER_H
     #: drift of the inertial model and its correlation time, h
     drift_deg_h: tuple[float, float, float] = (0.04, 0.025, 0.025)
     drift_tau_h: float = 8.0

@@ -19,6 +19,8 @@ from service.core.estimation.filtering.filter_model import CarrierModel, Gaussia
 STANDING_ROWS, STEADY_ROWS, ANCHOR_MINUTES = 60, 60, 20
 #: figures of integrity that are held against limits
 FIGURES = 8
+#: epoch of the newest record before the first, microseconds UTC
+NEVER_US = -(1 << 62)
 
 #: a carrier
 CARRIER = np.dtype(
@@ -114,6 +116,53 @@ WATCH = np.dtype(
     align=True,
 )
 
+#: judgement of the records of wheels or a polarimeter; sums forget
+SENSOR = np.dtype(
+    [
+        # newest record of use, at first the begin of the watch, and newest record judged; microseconds UTC
+        ("heard_us", "i8"),
+        ("newest_us", "i8"),
+        # newest record of wheels, along roll, pitch, yaw: a repeated one is left out
+        ("newest_n_m_s", "f8", (3,)),
+        # records left out in a row
+        ("skipped", "i8"),
+        # weights, sum of mean squares of innovations and jumps of the last hours
+        ("records", "f8"),
+        ("squares", "f8"),
+        ("jumps", "f8"),
+        ("jumped_us", "i8"),
+        ("is_refused", "?"),
+        # co-polar power of a polarimeter in clear sky, NaN before the first
+        ("clear_dbm", "f8"),
+    ],
+    align=True,
+)
+
+#: judgement of the rates of the body; (3,) yaw, roll, pitch
+RATES = np.dtype(
+    [
+        # whether the newest step was made by a measured rate
+        ("is_measured", "?"),
+        # newest record judged
+        ("newest_us", "i8"),
+        ("newest_deg_h", "f8", (3,)),
+        # newest record that counted, and its rate beside the commanded one
+        ("known_us", "i8"),
+        ("residual_deg_h", "f8", (3,)),
+        # rate that commands have left; it stands here while the state holds the measured one
+        ("commanded_deg_h", "f8", (3,)),
+        # newest step with a torque from the ground
+        ("torque_us", "i8"),
+        # records of the last hours, and those left out
+        ("records", "f8"),
+        ("wild", "f8"),
+        # logarithm of the factor on bias or drift, whichever the state does not hold now
+        ("other_log_scale", "f8"),
+        ("is_refused", "?"),
+    ],
+    align=True,
+)
+
 
 class FilterState(NamedTuple):
     """State of the filter between two rows, of N carriers and D numbers."""
@@ -130,6 +179,9 @@ class FilterState(NamedTuple):
     anchor: FloatArray
     #: (D, 2) derivative of the state by the share of commands and by an unannounced yaw rate, deg/h
     sensitivity: FloatArray
+    #: (1 + P,) of `SENSOR`, the wheels and each polarimeter, and (1,) of `RATES`
+    sensors: NDArray[np.void]
+    rates: NDArray[np.void]
 
     @property
     def epoch_us(self) -> int:
@@ -160,7 +212,7 @@ class FilterState(NamedTuple):
         return self._replace(carriers=carriers)
 
 
-def start(model: CarrierModel, epoch_us: int, gaussian: Gaussian) -> FilterState:
+def start(model: CarrierModel, epoch_us: int, gaussian: Gaussian, polarimeters: int = 0) -> FilterState:
     """Return the state of a filter that was just aligned.
 
     Parameters
@@ -171,6 +223,8 @@ def start(model: CarrierModel, epoch_us: int, gaussian: Gaussian) -> FilterState
         Epoch of the alignment.
     gaussian : Gaussian
         From `initial_gaussian`.
+    polarimeters : int
+        How many look at the spacecraft.
     """
     count = model.carriers
     return FilterState(
@@ -181,6 +235,8 @@ def start(model: CarrierModel, epoch_us: int, gaussian: Gaussian) -> FilterState
         np.full((STANDING_ROWS, count), np.nan),
         np.full((2, ANCHOR_MINUTES, count), np.nan),
         np.zeros((len(gaussian.mean), 2)),
+        initial_sensors(polarimeters, epoch_us),
+        initial_rates(),
     )
 
 
@@ -190,6 +246,21 @@ def initial_carriers(reference_variance_db2: FloatArray, epoch_us: int) -> NDArr
     carriers["aligned_variance_db2"] = reference_variance_db2
     carriers["white_scale"], carriers["probability"], carriers["hypothesis_since_us"] = 1.0, np.nan, epoch_us
     return carriers
+
+
+def initial_sensors(polarimeters: int, epoch_us: int) -> NDArray[np.void]:
+    """Return the judgement (1 + P,) of wheels and polarimeters before the first record."""
+    sensors = np.zeros(1 + polarimeters, SENSOR)
+    sensors["newest_us"] = sensors["jumped_us"] = sensors["heard_us"] = NEVER_US
+    sensors["heard_us"][1:], sensors["clear_dbm"] = epoch_us, np.nan
+    return sensors
+
+
+def initial_rates() -> NDArray[np.void]:
+    """Return the judgement (1,) of the rates of the body before the first record."""
+    rates = np.zeros(1, RATES)
+    rates["newest_us"] = rates["known_us"] = rates["torque_us"] = NEVER_US
+    return rates
 
 
 def initial_watch(epoch_us: int) -> NDArray[np.void]:

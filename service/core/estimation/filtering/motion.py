@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.core.arrays import FloatArray
-from service.core.estimation.filtering.filter_model import RATE
+from service.core.estimation.filtering.filter_model import ORBITAL_RATE_PER_H, RATE
 from service.core.estimation.filtering.plant import POLARIMETER, TORQUES, WANDER, WHEEL_STATES, FilterModel
 
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(10)
@@ -36,8 +36,6 @@ _US_PER_H = 3.6e9
 _PANEL_H, _PANEL_TURN = 6.0, 0.25
 #: longest span over which a torque on the wheels counts as constant, h
 _WHEEL_PANEL_H = 1.0 / 6.0
-#: exchange of roll and yaw momentum in the orbital frame, 1/h
-ORBITAL_RATE_PER_H = 0.2625162
 #: torque that gives 1 kg m^2 an acceleration of 1 deg/h^2, N m
 _DEG_H2_N_M = math.radians(1.0) / 3600.0**2
 #: attitude, drift and rate; the momentum of the wheels moves behind them

@@ -2,16 +2,18 @@
 
 A record beyond two sigma counts less, one beyond four is left out. Where records of six hours keep disagreeing, or jump
 again and again, the sensor is refused until the next alignment, and yaw is as uncertain as after hours without it. The
-law of this file: it has what wheels and polarimeters share; the file of each sensor says what a jump is.
+law of this file: it has what wheels and polarimeters share; the file of each sensor says what a jump is. State and
+judgement are written in place; the functions are compiled as they stand.
 """
 
 import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from service.core.arrays import FloatArray, IntArray
-from service.core.estimation.filtering.filter_model import ATTITUDE, Gaussian
+from service.core.arrays import FloatArray
+from service.core.estimation.filtering.filter_state import NEVER_US
 
 #: sigmas from which a record counts less, and is left out
 TRUSTED, GATE = 2.0, 4.0
@@ -25,11 +27,10 @@ _MISLED_DEG = (0.2, 0.02, 0.02)
 _REPORTED_US = 3_600_000_000
 #: without anything of use for this long yaw is known as without the sensor, us; records of each hour may miss one
 SILENT_US = 3 * 3_600_000_000
-#: epoch of the newest record before the first
-NEVER_US = -(1 << 62)
+_US_PER_H = 3.6e9
 
 
-class SensorUpdate(NamedTuple):
+class Comparison(NamedTuple):
     """Measurements n of a sensor compared with a state of D numbers."""
 
     #: (n, D) H and (n,) in the unit of the sensor
@@ -39,106 +40,118 @@ class SensorUpdate(NamedTuple):
     covariance: FloatArray
     cross: FloatArray
 
-    @property
-    def excess(self) -> float:
-        """Return the size of the largest innovation, sigmas."""
-        return float(np.abs(self.innovation / np.sqrt(self.covariance.diagonal())).max())
 
-    @property
-    def mean_square(self) -> float:
-        """Return the normalised square of the innovations, a degree of freedom."""
-        square = float(self.innovation @ np.linalg.solve(self.covariance, self.innovation))
-        return square / len(self.innovation)
-
-    def widened(self, variance: float) -> "SensorUpdate":
-        """Return the same with a noise whose variance is greater in each measurement."""
-        return self._replace(covariance=self.covariance + variance * np.eye(len(self.innovation)))
-
-    def applied(self, gaussian: Gaussian) -> Gaussian:
-        """Return the state after the update."""
-        factor = np.linalg.cholesky(self.covariance)
-        solved = np.linalg.solve(factor, np.column_stack([self.cross, self.innovation]))
-        whitened, residual = solved[:, :-1], solved[:, -1]
-        return Gaussian(gaussian.mean + residual @ whitened, gaussian.covariance - whitened.T @ whitened)
+def greatest_excess(compared: Comparison) -> float:
+    """Return the size of the largest innovation, sigmas."""
+    excess = 0.0
+    for row in range(len(compared.innovation)):
+        excess = max(excess, abs(compared.innovation[row]) / math.sqrt(compared.covariance[row, row]))
+    return excess
 
 
-class SensorEffect(NamedTuple):
-    """Effect of one record; variance that it added is noise, of which nothing is kept."""
-
-    #: (k,) states that began again before the update
-    restarted: IntArray
-    #: None = the record was left out
-    update: SensorUpdate | None = None
-
-
-#: effect of a record that was left out
-NO_EFFECT = SensorEffect(np.zeros(0, dtype=np.int64))
-
-
-class SensorWatch(NamedTuple):
-    """State of the judgement; sums forget."""
-
-    #: newest record of use, at first the begin of the watch
-    heard_us: int = NEVER_US
-    #: epoch of the newest record judged
-    newest_us: int = NEVER_US
-    #: newest record of wheels: a repeated one is left out
-    newest_n_m_s: FloatArray = np.zeros(3)
-    #: records left out in a row
-    skipped: int = 0
-    #: weights, sum of mean squares of innovations and jumps of the last hours
-    records: float = 0.0
-    squares: float = 0.0
-    jumps: float = 0.0
-    jumped_us: int = NEVER_US
-    is_refused: bool = False
-    #: co-polar power of a polarimeter in clear sky
-    clear_dbm: float = math.nan
-
-    def hours_until(self, epoch_us: int) -> float:
-        """Return how long ago the newest record was, 0 before the first."""
-        return 0.0 if self.newest_us == NEVER_US else (epoch_us - self.newest_us) / 3.6e9
-
-    def jumped(self, epoch_us: int) -> "SensorWatch":
-        """Return the watch after a jump."""
-        return self._replace(skipped=0, jumps=self.jumps + 1.0, jumped_us=epoch_us)
-
-    def has_jumped(self, epoch_us: int) -> bool:
-        """Return whether an undeclared jump is reported at an epoch."""
-        return epoch_us - self.jumped_us < _REPORTED_US
-
-    def is_silent(self, since_us: int, epoch_us: int) -> bool:
-        """Return whether a sensor that is not refused has had no record of use for hours."""
-        return epoch_us - max(self.heard_us, since_us) > SILENT_US and not self.is_refused
+def mean_square(compared: Comparison) -> float:
+    """Return the normalised square of the innovations, a degree of freedom."""
+    lower, total = lower_triangle(compared.covariance, 0.0), 0.0
+    whitened = compared.innovation.copy()
+    for row in range(len(whitened)):
+        for k in range(row):
+            whitened[row] -= lower[row, k] * whitened[k]
+        whitened[row] /= lower[row, row]
+        total += whitened[row] ** 2
+    return total / len(whitened)
 
 
-def with_record(watch: SensorWatch, epoch_us: int) -> SensorWatch:
-    """Return the watch at a newer record, what was before it forgotten as time has passed."""
-    keep = math.exp(-watch.hours_until(epoch_us) / MEMORY_H)
-    return watch._replace(
-        newest_us=epoch_us,
-        records=keep * watch.records,
-        squares=keep * watch.squares,
-        jumps=keep * watch.jumps,
-    )
+def lower_triangle(covariance: FloatArray, variance: float) -> FloatArray:
+    """Return L (n, n) of ``L L'``, a covariance whose diagonal is greater by a variance."""
+    lower = np.zeros(covariance.shape)
+    for row in range(len(covariance)):
+        for column in range(row + 1):
+            total = covariance[row, column] + (variance if row == column else 0.0)
+            for k in range(column):
+                total -= lower[row, k] * lower[column, k]
+            lower[row, column] = math.sqrt(total) if row == column else total / lower[column, column]
+    return lower
 
 
-def judged(
-    watch: SensorWatch, gaussian: Gaussian, mean_square: float, least_records: float, few_records: float = 0.0
-) -> tuple[SensorWatch, Gaussian]:
-    """Return watch and state after a record of some mean square; the sensor is refused where they stay too large.
+def use_record(
+    mean: FloatArray, covariance: FloatArray, compared: Comparison, variance: float, sensed: FloatArray
+) -> None:
+    """Take measurements into mean (D,) and covariance (D, D), the noise of each greater by a variance.
+
+    `sensed` (3, 2 D + 1) is written as `RowTrace` has it where it has room.
+    """
+    lower, size = lower_triangle(compared.covariance, variance), len(mean)
+    whitened, residual = compared.cross.copy(), compared.innovation.copy()
+    for row in range(len(residual)):
+        for k in range(row):
+            whitened[row] -= lower[row, k] * whitened[k]
+            residual[row] -= lower[row, k] * residual[k]
+        whitened[row] /= lower[row, row]
+        residual[row] /= lower[row, row]
+        mean += residual[row] * whitened[row]
+        if len(sensed):
+            sensed[row, :size] = compared.jacobian[row]
+            for k in range(row):
+                sensed[row, :size] -= lower[row, k] * sensed[k, :size]
+            sensed[row, :size] /= lower[row, row]
+            sensed[row, size : 2 * size] = whitened[row]
+            sensed[row, 2 * size] = residual[row]
+    product = whitened.T @ whitened
+    covariance -= 0.5 * (product + product.T)
+
+
+def hours_since(watch: NDArray[np.void], epoch_us: int) -> float:
+    """Return how long ago the newest record was, 0 before the first."""
+    if watch["newest_us"] == NEVER_US:
+        return 0.0
+    return float((epoch_us - watch["newest_us"]) / _US_PER_H)
+
+
+def begin_record(watch: NDArray[np.void], epoch_us: int) -> None:
+    """Let a newer record be the newest, and forget what was before it as time has passed."""
+    keep = math.exp(-hours_since(watch, epoch_us) / MEMORY_H)
+    watch["newest_us"] = epoch_us
+    watch["records"] *= keep
+    watch["squares"] *= keep
+    watch["jumps"] *= keep
+
+
+def count_jump(watch: NDArray[np.void], epoch_us: int) -> None:
+    """Count a jump."""
+    watch["skipped"] = 0
+    watch["jumps"] += 1.0
+    watch["jumped_us"] = epoch_us
+
+
+def judge_record(
+    watch: NDArray[np.void], covariance: FloatArray, square: float, least_records: float, few_records: float
+) -> None:
+    """Count the mean square of a record; the sensor is refused where they stay too large.
 
     A mean is judged of `least_records`; `few_records` are counted beside them, so that the limit is wider for few.
     """
-    watch = watch._replace(records=watch.records + 1.0, squares=watch.squares + min(mean_square, GATE**2))
-    is_bad = watch.records >= least_records and watch.squares > _REFUSED_MEAN * (watch.records + few_records)
-    if not (is_bad or watch.jumps > _REFUSED_JUMPS):
-        return watch, gaussian
-    return watch._replace(is_refused=True), misled(gaussian)
+    watch["records"] += 1.0
+    watch["squares"] += min(square, GATE**2)
+    is_bad = watch["records"] >= least_records and watch["squares"] > _REFUSED_MEAN * (watch["records"] + few_records)
+    if is_bad or watch["jumps"] > _REFUSED_JUMPS:
+        watch["is_refused"] = True
+        mislead(covariance)
 
 
-def misled(gaussian: Gaussian) -> Gaussian:
-    """Return the state whose angles are known less, by what a sensor that is refused may have done to them."""
-    covariance = gaussian.covariance.copy()
-    covariance[ATTITUDE, ATTITUDE] += np.diag(np.square(_MISLED_DEG))
-    return Gaussian(gaussian.mean, covariance)
+def mislead(covariance: FloatArray) -> None:
+    """Let the angles be known less, by what a sensor that is refused may have done to them."""
+    for axis in range(3):
+        covariance[axis, axis] += _MISLED_DEG[axis] ** 2
+
+
+def sensor_advice(sensors: NDArray[np.void], since_us: int, epoch_us: int) -> tuple[bool, bool, bool]:
+    """Return whether any of some sensors is refused, has jumped undeclared, or has been silent for hours at an epoch.
+
+    Silence is counted from `since_us` at the earliest, and only of sensors that are not refused.
+    """
+    refused = sensors["is_refused"].tolist()
+    is_silent = any(
+        epoch_us - max(heard_us, since_us) > SILENT_US and not is_refused
+        for heard_us, is_refused in zip(sensors["heard_us"].tolist(), refused, strict=True)
+    )
+    return any(refused), epoch_us - max(sensors["jumped_us"].tolist(), default=NEVER_US) < _REPORTED_US, is_silent

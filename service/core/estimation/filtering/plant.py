@@ -17,9 +17,11 @@ from numpy.typing import NDArray
 
 from service.core.arrays import FloatArray
 from service.core.estimation.filtering.filter_model import (
+    ORBITAL_RATE_PER_H,
     CarrierModel,
     FedForward,
     FilterSettings,
+    RateSensorModel,
     model_error_component,
 )
 
@@ -66,6 +68,7 @@ PLANT = np.dtype(
         ("has_wheels", "?"),
         ("has_gathered_torque", "?"),
         ("inertia_kg_m2", "f8", (3,)),
+        ("momentum_sigma_n_m_s", "f8"),
         ("walk_n_m_s_sqrt_s", "f8"),
         ("gathered_prior_deg_h2", "f8", (TORQUES,)),
         ("profile_deg_h2", "f8", (TORQUES,)),
@@ -99,8 +102,18 @@ RESPONSE = np.dtype(
 )
 #: noise that all carriers share
 SHARED_NOISE = np.dtype([("sigma_db", "f8"), ("tau_s", "f8")], align=True)
-#: a polarimeter
-FEED = np.dtype([("wander_deg", "f8"), ("wander_h", "f8")], align=True)
+#: a polarimeter, as in `PolarimeterModel`, and whether a calibration tells of it
+FEED = np.dtype(
+    [
+        ("sight", "f8", (3,)),
+        ("daily_deg", "f8"),
+        ("wander_deg", "f8"),
+        ("wander_h", "f8"),
+        ("offset_walk_deg_sqrt_h", "f8"),
+        ("is_learned", "?"),
+    ],
+    align=True,
+)
 
 
 class IntegrityLimits(NamedTuple):
@@ -130,15 +143,19 @@ class FilterModel(NamedTuple):
     coloured_tau_s: FloatArray
     #: (G,) of `SHARED_NOISE`
     common: NDArray[np.void]
-    #: (1,) of `PLANT` and (P,) of `FEED`
+    #: of `PLANT`, (1,) or (2,) with that of a step whose rate a sensor measured; (P,) of `FEED`
     plant: NDArray[np.void]
     feeds: NDArray[np.void]
 
 
 def filter_model(
-    carriers: CarrierModel, settings: FilterSettings | None = None, limits: IntegrityLimits | None = None
+    carriers: CarrierModel,
+    settings: FilterSettings | None = None,
+    limits: IntegrityLimits | None = None,
+    rate_sensor: RateSensorModel | None = None,
 ) -> FilterModel:
-    """Return carriers, spacecraft and limits as the compiled filter takes them."""
+    """Return carriers, spacecraft, limits and sensors of motion as the compiled filter takes them."""
+    settings, limits = settings or FilterSettings(), limits or IntegrityLimits()
     response = np.zeros(carriers.carriers, RESPONSE)
     for name in carriers._fields:
         if name in (RESPONSE.names or ()):
@@ -147,24 +164,37 @@ def filter_model(
         response["error_component"] = model_error_component(carriers.coloured_tau_s)
     common = np.zeros(len(carriers.common_sigma_db), SHARED_NOISE)
     common["sigma_db"], common["tau_s"] = carriers.common_sigma_db, carriers.common_tau_s
-    return with_settings(
-        FilterModel(
-            response,
-            np.array(carriers.coloured_sigma_db, dtype=np.float64, order="C"),
-            np.array(carriers.coloured_tau_s, dtype=np.float64, order="C"),
-            common,
-            np.zeros(1, PLANT),
-            np.zeros(0, FEED),
-        ),
-        settings or FilterSettings(),
-        limits or IntegrityLimits(),
+    each = [settings] if rate_sensor is None else [settings, measured_settings(settings, rate_sensor)]
+    plant, feeds = np.zeros(len(each), PLANT), np.zeros(len(settings.polarimeters), FEED)
+    for place, one in enumerate(each):
+        _write_plant(plant[place], one, limits)
+    for place, polarimeter in enumerate(settings.polarimeters):
+        for name in FEED.names or ():
+            feeds[name][place] = getattr(polarimeter, name, polarimeter.learned is not None)
+    return FilterModel(
+        response,
+        np.array(carriers.coloured_sigma_db, dtype=np.float64, order="C"),
+        np.array(carriers.coloured_tau_s, dtype=np.float64, order="C"),
+        common,
+        plant,
+        feeds,
     )
 
 
-def with_settings(model: FilterModel, settings: FilterSettings, limits: IntegrityLimits) -> FilterModel:
-    """Return the model of the same carriers on another spacecraft."""
-    record = np.zeros(1, PLANT)
-    plant, wheels = record[0], settings.momentum
+def measured_settings(settings: FilterSettings, sensor: RateSensorModel) -> FilterSettings:
+    """Return the settings of a step whose rate is measured: bias in place of drift, the true exchange."""
+    bias = sensor.bias_deg_h
+    return settings._replace(
+        coupling_per_h=ORBITAL_RATE_PER_H,
+        drift_deg_h=(bias, bias, bias),
+        drift_tau_h=sensor.bias_tau_h,
+        rate_noise_deg_sqrt_h=sensor.noise_deg_sqrt_h,
+    )
+
+
+def _write_plant(plant: np.void, settings: FilterSettings, limits: IntegrityLimits) -> None:
+    """Write settings and limits into a record of `PLANT`."""
+    wheels = settings.momentum
     for name, value in (*settings._asdict().items(), *limits._asdict().items()):
         if name in (PLANT.names or ()) and value is not None:
             plant[name] = value
@@ -178,12 +208,11 @@ def with_settings(model: FilterModel, settings: FilterSettings, limits: Integrit
     if wheels is not None:
         plant["has_wheels"], plant["has_gathered_torque"] = True, momentum_count(settings) > WHEEL_STATES
         plant["inertia_kg_m2"], plant["walk_n_m_s_sqrt_s"] = wheels.inertia_kg_m2, wheels.walk_n_m_s_sqrt_s
+        plant["momentum_sigma_n_m_s"] = wheels.sigma_n_m_s
         plant["gathered_prior_deg_h2"] = gathered_prior_deg_h2(settings)
         known = wheels.profile or settings.fed_forward
         plant["profile_deg_h2"] = 0.0 if known is None else np.concatenate(known[:3])
     plant["sensor_states"] = sensor_states(settings)
-    feeds = np.array([(each.wander_deg, each.wander_h) for each in settings.polarimeters], FEED)
-    return model._replace(plant=record, feeds=feeds)
 
 
 def momentum_count(settings: FilterSettings) -> int:

@@ -11,33 +11,28 @@ angles after an alignment set it, and from then on changes of p count.
 Angles are judged block by block, some minutes of records. Three left out in a row in quiet co-polar power are a moved
 feed: the offset is free again. A fade of the co-polar port widens, a deep one leaves the block out. At an alignment yaw
 is known: a first block beyond two sigma says that a feed does not stand where the calibration saw it, and its offset is
-free. The law of this file: these states move nothing.
+free. The law of this file: these states move nothing. What takes a block is compiled as it stands.
 """
 
 import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.core.arrays import FloatArray
-from service.core.estimation.filtering.filter_model import (
-    ATTITUDE,
-    DRIFT,
-    RATE,
-    FilterSettings,
-    Gaussian,
-    PolarimeterModel,
-)
+from service.core.estimation.filtering.filter_model import DRIFT, RATE, FilterSettings, Gaussian
+from service.core.estimation.filtering.filter_state import NEVER_US
 from service.core.estimation.filtering.motion_sensor import (
     GATE,
-    NEVER_US,
-    NO_EFFECT,
     TRUSTED,
-    SensorEffect,
-    SensorUpdate,
-    SensorWatch,
-    judged,
-    with_record,
+    Comparison,
+    begin_record,
+    count_jump,
+    greatest_excess,
+    hours_since,
+    judge_record,
+    use_record,
 )
 from service.core.estimation.filtering.plant import DAY_US, POLARIMETER, WANDER
 
@@ -132,92 +127,87 @@ def with_learned_feeds(gaussian: Gaussian, first: int, settings: FilterSettings)
     return Gaussian(mean, covariance)
 
 
-def compared_angle(
-    gaussian: Gaussian,
+def compare_angle(
+    feed: NDArray[np.void],
+    mean: FloatArray,
+    covariance: FloatArray,
     first: int,
-    measured_deg: float,
+    block: AngleBlock,
     variance_deg2: float,
     epoch_us: int,
-    after_h: float,
-    polarimeter: PolarimeterModel,
-) -> SensorUpdate:
-    """Return an angle against a state of an epoch; `after_h` <= 0 is its age, `first` the place of its offset."""
-    phase = 2.0 * math.pi * (epoch_us % DAY_US) / DAY_US
-    jacobian, sight = np.zeros(len(gaussian.mean)), np.array(polarimeter.sight)
-    jacobian[ATTITUDE] = sight
-    jacobian[DRIFT] = jacobian[RATE] = after_h * sight
-    jacobian[first : first + POLARIMETER] = 1.0, math.cos(phase), math.sin(phase), 1.0
-    cross = gaussian.covariance @ jacobian
-    innovation_deg = measured_deg - float(jacobian @ gaussian.mean)
-    variance_deg2 = float(jacobian @ cross) + variance_deg2
-    return SensorUpdate(jacobian[None, :], np.array([innovation_deg]), np.array([[variance_deg2]]), cross[None, :])
+) -> Comparison:
+    """Return a block against a state of a not earlier epoch, whose offset stands at `first`.
+
+    Its noise is greater by a variance; the phase of the daily wave is that of the state.
+    """
+    phase, after_h = 2.0 * math.pi * (epoch_us % DAY_US) / DAY_US, (block.epoch_us - epoch_us) / 3.6e9
+    jacobian = np.zeros((1, len(mean)))
+    for axis in range(3):
+        jacobian[0, axis] = feed["sight"][axis]
+        jacobian[0, DRIFT.start + axis] = jacobian[0, RATE.start + axis] = after_h * feed["sight"][axis]
+    jacobian[0, first], jacobian[0, first + WANDER] = 1.0, 1.0
+    jacobian[0, first + 1], jacobian[0, first + 2] = math.cos(phase), math.sin(phase)
+    innovation_deg = block.angle_deg - jacobian @ mean
+    cross = jacobian @ covariance
+    return Comparison(jacobian, innovation_deg, cross @ jacobian.T + (block.variance_deg2 + variance_deg2), cross)
 
 
-def with_moved_feed(gaussian: Gaussian, first: int, sigma_deg: float = FREE_OFFSET_DEG) -> Gaussian:
-    """Return the state whose offset may have changed by an amount of this sigma."""
-    covariance = gaussian.covariance.copy()
-    covariance[first, first] += sigma_deg**2
-    return Gaussian(gaussian.mean, covariance)
-
-
-def polarimeter_advice(watches: tuple[SensorWatch, ...], epoch_us: int) -> dict[str, bool]:
-    """Return which advice about polarimeters is given at an epoch."""
-    return {
-        "polarimeter_refused": any(watch.is_refused for watch in watches),
-        "polarimeter_moved": any(watch.has_jumped(epoch_us) for watch in watches),
-        "polarimeter_silent": any(watch.is_silent(NEVER_US, epoch_us) for watch in watches),
-    }
-
-
-def push_block(
-    watch: SensorWatch,
-    gaussian: Gaussian,
+def push_angle(
+    feed: NDArray[np.void],
+    watch: NDArray[np.void],
+    mean: FloatArray,
+    covariance: FloatArray,
     first: int,
     block: AngleBlock,
     epoch_us: int,
-    polarimeter: PolarimeterModel,
-) -> tuple[SensorWatch, Gaussian, SensorEffect]:
-    """Return watch and state after a block, and its effect.
+    sensed: FloatArray,
+) -> None:
+    """Take a block into watch and state, in place.
 
-    The state is that of an epoch not earlier, its offset stands at `first`.
+    The state is that of an epoch not earlier, its offset stands at `first`; `sensed` as `use_record` writes it.
     """
-    if watch.is_refused or block.epoch_us <= watch.newest_us:
-        return watch, gaussian, NO_EFFECT
-    is_first, hours = watch.newest_us == NEVER_US, watch.hours_until(block.epoch_us)
-    clear_dbm = _clear_dbm(watch.clear_dbm, block.co_power_dbm, hours)
-    watch = with_record(watch, block.epoch_us)._replace(clear_dbm=clear_dbm)
-    gaussian = with_moved_feed(gaussian, first, polarimeter.offset_walk_deg_sqrt_h * math.sqrt(hours))
+    if watch["is_refused"] or block.epoch_us <= watch["newest_us"]:
+        return
+    is_first, hours = watch["newest_us"] == NEVER_US, hours_since(watch, block.epoch_us)
+    clear_dbm = _clear_dbm(float(watch["clear_dbm"]), block.co_power_dbm, hours)
+    begin_record(watch, block.epoch_us)
+    watch["clear_dbm"] = clear_dbm
+    covariance[first, first] += feed["offset_walk_deg_sqrt_h"] ** 2 * hours
     fade_db = 0.0 if math.isnan(block.co_power_dbm) else max(0.0, abs(clear_dbm - block.co_power_dbm) - _QUIET_DB)
     if fade_db > _DEEP_DB:
-        return watch, gaussian, NO_EFFECT
-    watch = watch._replace(heard_us=block.epoch_us)
-    variance_deg2 = block.variance_deg2 + (_RAIN_DEG_DB * fade_db) ** 2
-    after_h = (block.epoch_us - epoch_us) / 3.6e9
-    found = compared_angle(gaussian, first, block.angle_deg, variance_deg2, epoch_us, after_h, polarimeter)
-    if is_first and polarimeter.learned is not None and found.excess > TRUSTED:
-        watch = watch._replace(jumped_us=block.epoch_us) if found.excess > GATE else watch
-        gaussian = _with_other_feed(gaussian, first, polarimeter)
-        found = compared_angle(gaussian, first, block.angle_deg, variance_deg2, epoch_us, after_h, polarimeter)
-    excess = found.excess
+        return
+    watch["heard_us"] = block.epoch_us
+    rain_deg2 = (_RAIN_DEG_DB * fade_db) ** 2
+    compared = compare_angle(feed, mean, covariance, first, block, rain_deg2, epoch_us)
+    excess = greatest_excess(compared)
+    if is_first and feed["is_learned"] and excess > TRUSTED:
+        if excess > GATE:
+            watch["jumped_us"] = block.epoch_us
+        _free_feed(covariance, first, feed)
+        compared = compare_angle(feed, mean, covariance, first, block, rain_deg2, epoch_us)
+        excess = greatest_excess(compared)
     if excess <= GATE:
-        found = found.widened(variance_deg2 * (max(excess / TRUSTED, 1.0) ** 2 - 1.0))
-        after = judged(watch._replace(skipped=0), found.applied(gaussian), excess**2, _LEAST_BLOCKS)
-        return *after, NO_EFFECT._replace(update=found)
-    watch = watch._replace(skipped=watch.skipped + 1)
-    if watch.skipped < _MOVED_BLOCKS or fade_db > 0.0:
-        return *judged(watch, gaussian, excess**2, _LEAST_BLOCKS), NO_EFFECT
-    moved = watch.jumped(block.epoch_us)._replace(records=0.0, squares=0.0)
-    return *judged(moved, _with_other_feed(gaussian, first, polarimeter), 0.0, _LEAST_BLOCKS), NO_EFFECT
+        variance_deg2 = (block.variance_deg2 + rain_deg2) * (max(excess / TRUSTED, 1.0) ** 2 - 1.0)
+        use_record(mean, covariance, compared, variance_deg2, sensed)
+        watch["skipped"] = 0
+        judge_record(watch, covariance, excess**2, _LEAST_BLOCKS, 0.0)
+        return
+    watch["skipped"] += 1
+    if watch["skipped"] < _MOVED_BLOCKS or fade_db > 0.0:
+        judge_record(watch, covariance, excess**2, _LEAST_BLOCKS, 0.0)
+        return
+    count_jump(watch, block.epoch_us)
+    watch["records"] = watch["squares"] = 0.0
+    _free_feed(covariance, first, feed)
+    judge_record(watch, covariance, 0.0, _LEAST_BLOCKS, 0.0)
 
 
-def _with_other_feed(gaussian: Gaussian, first: int, polarimeter: PolarimeterModel) -> Gaussian:
-    """Return the state whose offset is free; what a calibration learned of the wave may hold no more."""
-    if polarimeter.learned is not None:
-        wave = np.arange(first + 1, first + WANDER)
-        covariance = gaussian.covariance.copy()
-        covariance[wave, wave] += polarimeter.daily_deg**2
-        gaussian = Gaussian(gaussian.mean, covariance)
-    return with_moved_feed(gaussian, first)
+def _free_feed(covariance: FloatArray, first: int, feed: NDArray[np.void]) -> None:
+    """Let the offset be free, in place; what a calibration learned of the wave may hold no more."""
+    covariance[first, first] += FREE_OFFSET_DEG**2
+    if feed["is_learned"]:
+        for place in range(first + 1, first + WANDER):
+            covariance[place, place] += feed["daily_deg"] ** 2
 
 
 def _clear_dbm(clear_dbm: float, power_dbm: float, hours: float) -> float:

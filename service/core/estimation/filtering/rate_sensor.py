@@ -10,27 +10,22 @@ mode is flown.
 A record far from what commands and drift make is left out; one that repeats the last to the digit tells nothing. While
 records come the drift of the filter is the bias of the sensor, watched as the drift is: the factor on its size grows
 where powers contradict it. Once the sensor is no better than the inertial model, or records keep being left out, it is
-refused until the next alignment. Each of both has its own factor, and neither learns by the other's motion.
+refused until the next alignment. Each of both has its own factor, and neither learns by the other's motion. State and
+judgement are written in place; the functions are compiled as they stand.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from service.core.arrays import FloatArray, IntArray
-from service.core.estimation.filtering.filter_model import (
-    DRIFT,
-    RATE,
-    RATE_FLOOR_DEG_H,
-    FilterSettings,
-    Gaussian,
-    RateSensorModel,
-)
+from service.core.arrays import FloatArray
+from service.core.estimation.filtering.filter_model import DRIFT, RATE, RATE_FLOOR_DEG_H
 from service.core.estimation.filtering.filter_state import FilterState
-from service.core.estimation.filtering.motion import ORBITAL_RATE_PER_H
-from service.core.estimation.filtering.motion_sensor import MEMORY_H, NEVER_US, misled
+from service.core.estimation.filtering.motion_sensor import MEMORY_H, mislead
 from service.core.estimation.filtering.motion_watch import drift_scale, push_drift
+from service.core.estimation.filtering.plant import FilterModel
+from service.core.estimation.filtering.row_block import BODY_RATE, RowBlock
 
 #: a rate holds for so long where no newer one is known, and records of a step may be apart by so much, us
 HELD_US = 600_000_000
@@ -45,210 +40,148 @@ _LEAST_RECORDS, _WILD_SHARE = 30.0, 0.2
 _US_PER_H = 3.6e9
 
 
-class RateWatch(NamedTuple):
-    """State of the judgement; (3,) yaw, roll, pitch."""
+def push_rates(model: FilterModel, state: FilterState, block: RowBlock, number: int) -> None:
+    """Take the rates that are due before a row into the state, in place: its rate is the measured one where one holds.
 
-    #: whether the newest step was made by a measured rate
-    is_measured: bool
-    #: epoch of the newest record judged, and the record, deg/h
-    newest_us: int
-    newest_deg_h: FloatArray
-    #: epoch of the newest record that counted, and its rate beside the commanded one, deg/h
-    known_us: int
-    residual_deg_h: FloatArray
-    #: rate that commands have left, deg/h; it stands here while the state holds the measured one
-    commanded_deg_h: FloatArray
-    #: newest step with a torque from the ground
-    torque_us: int
-    #: records of the last hours, and those left out
-    records: float
-    wild: float
-    #: logarithm of the factor on bias or drift, whichever the state does not hold now
-    other_log_scale: float
-    is_refused: bool
-
-
-def fresh_rates() -> RateWatch:
-    """Return the watch before the first record."""
-    nothing = np.zeros(3)
-    return RateWatch(False, NEVER_US, nothing, NEVER_US, nothing, nothing, NEVER_US, 0.0, 0.0, 0.0, False)
-
-
-def commanded_rate(watch: RateWatch, state: FilterState) -> FloatArray:
-    """Return the rate (3,) that commands have left, deg/h."""
-    return watch.commanded_deg_h if watch.is_measured else state.mean[RATE].copy()
-
-
-def push_rates(
-    watch: RateWatch,
-    state: FilterState,
-    epochs_us: IntArray,
-    rates_deg_h: FloatArray,
-    to_us: int,
-    commanded_deg_h: FloatArray,
-    settings: FilterSettings,
-    sensor: RateSensorModel,
-    *,
-    is_pushed: bool,
-) -> tuple[RateWatch, FilterState]:
-    """Return watch and state before a step, its rate the measured one where one is known.
-
-    Parameters
-    ----------
-    watch, state : RateWatch, FilterState
-        Before.
-    epochs_us, rates_deg_h : ndarray, shapes (n,) and (n, 3)
-        Records up to the end of the step that were not judged yet, in order; pitch without the turn of the orbit.
-    to_us : int
-        End of the step.
-    commanded_deg_h : ndarray, shape (3,)
-        Mean commanded rate over the step.
-    settings, sensor
-        Inertial model and sensor as they are stated.
-    is_pushed : bool
-        Whether torques from the ground act within the step, or may.
+    Where it does what was commanded before the row is in it, and the row is written so.
     """
-    own, other = drift_scale(_log_scale(state)), drift_scale(watch.other_log_scale)
-    bias, drift = (own, other) if watch.is_measured else (other, own)
-    inertial = drift * np.array(settings.drift_deg_h)
-    watch, mean = _judged(
-        watch, epochs_us, rates_deg_h, commanded_deg_h, np.hypot(inertial, bias * sensor.bias_deg_h), sensor
-    )
-    torque_us = to_us if is_pushed else watch.torque_us
-    is_covered = _is_covered(epochs_us, state.epoch_us, to_us)
-    known_us, residual_deg_h = watch.known_us, watch.residual_deg_h
-    if mean is not None:
-        known_us, residual_deg_h = int(epochs_us[-1]), mean - commanded_deg_h
-    watch = watch._replace(known_us=known_us, residual_deg_h=residual_deg_h, torque_us=torque_us)
-    is_worse = 3.0 * (bias * sensor.bias_deg_h) ** 2 > float(inertial @ inertial)
-    if is_worse or (watch.records >= _LEAST_RECORDS and watch.wild > _WILD_SHARE * watch.records):
-        return refused(watch, state, inertial)
-    if not is_covered or to_us - watch.known_us > HELD_US or to_us - torque_us <= _TORQUE_US:
-        return inertial_motion(watch, state)
-    rate = watch.residual_deg_h + commanded_deg_h if mean is None else mean
-    if watch.is_measured:
-        state = _sooner(state, sensor, min((to_us - state.epoch_us) / 60e6, 1.0))
+    rates, row, sensor = state.rates[0], block.rows[number], model.plant[1]
+    from_us, to_us = state.watch[0]["epoch_us"], row["epoch_us"]
+    if rates["is_refused"]:
+        return
+    commanded_deg_h, per_h = np.empty(3), _US_PER_H / (to_us - from_us)
+    for axis in range(3):
+        known_deg_h = rates["commanded_deg_h"][axis] if rates["is_measured"] else state.mean[RATE.start + axis]
+        commanded_deg_h[axis] = known_deg_h + row["correction_deg"][axis] * per_h
+    own = drift_scale(state.watch[0]["log_drift_scale"])
+    other = drift_scale(rates["other_log_scale"])
+    bias_scale, scale = (own, other) if rates["is_measured"] else (other, own)
+    inertial_deg_h = scale * model.plant[0]["drift_deg_h"]
+    bias_deg_h = bias_scale * sensor["drift_deg_h"]
+    mean_deg_h = _judge(model, rates, block.records, number, commanded_deg_h, inertial_deg_h, bias_deg_h)
+    if math.isfinite(mean_deg_h[0]):
+        rates["known_us"] = rates["newest_us"]
+        rates["residual_deg_h"][:] = mean_deg_h - commanded_deg_h
+    if block.unreported.shape[1] > 0 or row["rate_change_deg_h"].any():
+        rates["torque_us"] = to_us
+    is_worse = (bias_deg_h**2).sum() > (inertial_deg_h**2).sum()
+    if is_worse or (rates["records"] >= _LEAST_RECORDS and rates["wild"] > _WILD_SHARE * rates["records"]):
+        _refuse(state, inertial_deg_h)
+    elif (
+        not _is_covered(block.records, number, from_us, to_us)
+        or to_us - rates["known_us"] > HELD_US
+        or to_us - rates["torque_us"] <= _TORQUE_US
+    ):
+        follow_model(state)
     else:
-        watch, state = _swapped(watch, state, with_sensor_bias(state.gaussian, bias * sensor.bias_deg_h))
-    return watch, state.with_gaussian(with_measured_rate(state.gaussian, rate))
+        if rates["is_measured"]:
+            minutes = _SOONER * min((to_us - from_us) / 60e6, 1.0)
+            watch = state.watch[0]
+            # a sensor may be worse than none: its factor follows sooner than that of a drift
+            watch["log_drift_scale"] = push_drift(
+                state.mean, state.covariance, watch["log_drift_scale"], sensor["drift_deg_h"], minutes
+            )
+        else:
+            _swap(state)
+            _renew(state, DRIFT.start, np.zeros(3), bias_deg_h)
+        state.mean[RATE.start : RATE.stop] = rates["residual_deg_h"] + commanded_deg_h
+        row["correction_deg"][:] = 0.0
+        row["late_correction_deg"][:] = 0.0
+        row["rate_change_deg_h"][:] = 0.0
+        block.unreported[number] = 0.0
 
 
-def inertial_motion(watch: RateWatch, state: FilterState) -> tuple[RateWatch, FilterState]:
-    """Return watch and state that go on by the inertial model."""
-    if not watch.is_measured:
-        return watch, state
-    return _swapped(watch, state, with_inertial_drift(state.gaussian, watch.commanded_deg_h, watch.residual_deg_h))
+def follow_model(state: FilterState) -> None:
+    """Let the state go on by the inertial model, in place; its drift is what was measured beside the commanded rate."""
+    rates = state.rates[0]
+    if rates["is_measured"]:
+        _swap(state)
+        state.mean[DRIFT.start : DRIFT.stop] += rates["residual_deg_h"]
+        _renew(state, RATE.start, rates["commanded_deg_h"], np.full(3, RATE_FLOOR_DEG_H))
 
 
-def refused(watch: RateWatch, state: FilterState, drift_deg_h: FloatArray) -> tuple[RateWatch, FilterState]:
-    """Return watch and state after the sensor is refused: what it may have done is known less, and so is the drift."""
-    watch = watch._replace(is_refused=True)
-    if not watch.is_measured:
-        return watch, state
-    gaussian = with_unknown_drift(state.gaussian, watch.commanded_deg_h, drift_deg_h)
-    return _swapped(watch, state, misled(gaussian))
+def _refuse(state: FilterState, drift_deg_h: FloatArray) -> None:
+    """Refuse the sensor, in place: what it may have done is known less, and nothing of the drift (3,)."""
+    rates = state.rates[0]
+    rates["is_refused"] = True
+    if rates["is_measured"]:
+        _swap(state)
+        _renew(state, DRIFT.start, np.zeros(3), drift_deg_h)
+        _renew(state, RATE.start, rates["commanded_deg_h"], np.full(3, RATE_FLOOR_DEG_H))
+        mislead(state.covariance)
 
 
-def _log_scale(state: FilterState) -> float:
-    return float(state.watch["log_drift_scale"][0])
+def _swap(state: FilterState) -> None:
+    """Let the drift begin to be the bias, or the reverse, in place; evidence begins again."""
+    rates, watch = state.rates[0], state.watch[0]
+    if not rates["is_measured"]:
+        rates["commanded_deg_h"][:] = state.mean[RATE.start : RATE.stop]
+    other = rates["other_log_scale"]
+    rates["other_log_scale"] = watch["log_drift_scale"]
+    watch["log_drift_scale"] = other
+    watch["score"][:] = 0.0
+    watch["information"][:] = 0.0
+    watch["is_by_torque"] = False
+    state.sensitivity[:] = 0.0
+    rates["is_measured"] = not rates["is_measured"]
 
 
-def _sooner(state: FilterState, sensor: RateSensorModel, minutes: float) -> FilterState:
-    """Return the state whose factor on the bias has followed sooner than a drift's: a sensor may be worse than none."""
-    covariance, sigma_deg_h = state.covariance.copy(), np.full(3, sensor.bias_deg_h)
-    log_scale = push_drift(state.mean, covariance, _log_scale(state), sigma_deg_h, _SOONER * minutes)
-    return state._replace(covariance=covariance).with_watch(log_drift_scale=log_scale)
+def _renew(state: FilterState, first: int, value: FloatArray, sigma: FloatArray) -> None:
+    """Let three numbers be others, correlated with nothing, in place."""
+    state.mean[first : first + 3] = value
+    state.covariance[first : first + 3] = 0.0
+    state.covariance[:, first : first + 3] = 0.0
+    for axis in range(3):
+        state.covariance[first + axis, first + axis] = sigma[axis] ** 2
 
 
-def _swapped(watch: RateWatch, state: FilterState, gaussian: Gaussian) -> tuple[RateWatch, FilterState]:
-    """Return watch and state after the drift began to be the bias, or the reverse; evidence begins again."""
-    commanded, other = commanded_rate(watch, state), _log_scale(state)
-    swapped = state.with_gaussian(gaussian).with_watch(
-        log_drift_scale=watch.other_log_scale, score=0.0, information=0.0, is_by_torque=False
-    )
-    swapped = swapped._replace(sensitivity=np.zeros_like(state.sensitivity))
-    return watch._replace(is_measured=not watch.is_measured, commanded_deg_h=commanded, other_log_scale=other), swapped
-
-
-def _judged(
-    watch: RateWatch,
-    epochs_us: IntArray,
-    rates_deg_h: FloatArray,
+def _judge(
+    model: FilterModel,
+    rates: NDArray[np.void],
+    records: NDArray[np.void],
+    number: int,
     commanded_deg_h: FloatArray,
-    drift_deg_h: FloatArray,
-    sensor: RateSensorModel,
-) -> tuple[RateWatch, FloatArray | None]:
-    """Return the watch after some records, and the mean (3,) of those that count, None without one."""
-    if not len(epochs_us):
-        return watch, None
-    # mostly one record: numbers cost a tenth of arrays
-    former_us, former = max(watch.newest_us, int(epochs_us[0]) - HELD_US), watch.newest_deg_h.tolist()
-    sent, drifted = commanded_deg_h.tolist(), (_DRIFTS * drift_deg_h + np.abs(commanded_deg_h)).tolist()
-    taken, wild = [], 0
-    for epoch_us, rate in zip(epochs_us.tolist(), rates_deg_h.tolist(), strict=True):
-        noise = _NOISES * sensor.noise_deg_sqrt_h / math.sqrt((epoch_us - former_us) / _US_PER_H)
-        if any(abs(one - known) > most + noise for one, known, most in zip(rate, sent, drifted, strict=True)):
+    inertial_deg_h: FloatArray,
+    bias_deg_h: FloatArray,
+) -> FloatArray:
+    """Judge the records before a row, and return the mean (3,) of those that count, NaN without one."""
+    total_deg_h, count, judged, wild = np.zeros(3), 0, 0, 0
+    before_us, former_us, former_deg_h = rates["newest_us"], rates["newest_us"], rates["newest_deg_h"]
+    for place in range(len(records)):
+        epoch_us, rate_deg_h = records[place]["epoch_us"], records[place]["rate_deg_h"]
+        if records["row"][place] != number or records["kind"][place] != BODY_RATE:
+            continue
+        former_us = max(former_us, epoch_us - HELD_US) if judged == 0 else former_us
+        noise_deg_h = _NOISES * model.plant[1]["rate_noise_deg_sqrt_h"] / math.sqrt((epoch_us - former_us) / _US_PER_H)
+        is_wild, is_repeated = False, True
+        for axis in range(3):
+            drift_deg_h = _DRIFTS * math.hypot(inertial_deg_h[axis], bias_deg_h[axis]) + abs(commanded_deg_h[axis])
+            beside_deg_h = abs(rate_deg_h[axis] - commanded_deg_h[axis])
+            is_wild = is_wild or beside_deg_h > drift_deg_h + noise_deg_h
+            is_repeated = is_repeated and rate_deg_h[axis] == former_deg_h[axis]
+        if is_wild:
             wild += 1
-        elif rate != former:
-            taken.append(rate)
-        former_us, former = epoch_us, rate
-    keep = math.exp(-(int(epochs_us[-1]) - max(watch.newest_us, 0)) / (MEMORY_H * _US_PER_H))
-    watch = watch._replace(
-        newest_us=int(epochs_us[-1]),
-        newest_deg_h=rates_deg_h[-1],
-        records=keep * watch.records + len(epochs_us),
-        wild=keep * watch.wild + wild,
-    )
-    return watch, np.add.reduce(taken) / len(taken) if taken else None
+        elif not is_repeated:
+            total_deg_h += rate_deg_h
+            count += 1
+        former_us, former_deg_h, judged = epoch_us, rate_deg_h, judged + 1
+    if judged:
+        keep = math.exp(-(former_us - max(before_us, 0)) / (MEMORY_H * _US_PER_H))
+        rates["records"] = keep * rates["records"] + judged
+        rates["wild"] = keep * rates["wild"] + wild
+        rates["newest_us"] = former_us
+        rates["newest_deg_h"][:] = former_deg_h
+    return total_deg_h / count if count else np.full(3, np.nan)
 
 
-def _is_covered(epochs_us: IntArray, from_us: int, to_us: int) -> bool:
-    """Return whether records (n,) reach through a step; a short one needs none of its own."""
+def _is_covered(records: NDArray[np.void], number: int, from_us: int, to_us: int) -> bool:
+    """Return whether records reach through the step before a row; a short one needs none of its own."""
     if to_us - from_us <= HELD_US:
         return True
-    return bool((np.diff(np.concatenate([[from_us], epochs_us, [to_us]])) <= HELD_US).all())
-
-
-def measured_settings(settings: FilterSettings, sensor: RateSensorModel) -> FilterSettings:
-    """Return the settings of a step whose rate is measured: bias in place of drift, the true exchange."""
-    bias = sensor.bias_deg_h
-    return settings._replace(
-        coupling_per_h=ORBITAL_RATE_PER_H,
-        drift_deg_h=(bias, bias, bias),
-        drift_tau_h=sensor.bias_tau_h,
-        rate_noise_deg_sqrt_h=sensor.noise_deg_sqrt_h,
-    )
-
-
-def with_measured_rate(gaussian: Gaussian, measured_deg_h: FloatArray) -> Gaussian:
-    """Return the state whose rate (3,) is the measured one; the step by it makes it known exactly but for the bias."""
-    mean = gaussian.mean.copy()
-    mean[RATE] = measured_deg_h
-    return Gaussian(mean, gaussian.covariance)
-
-
-def with_sensor_bias(gaussian: Gaussian, bias_deg_h: float) -> Gaussian:
-    """Return the state whose drift becomes the bias of the sensor, of which only its size is known."""
-    return _with_block(gaussian, DRIFT, np.zeros(3), np.full(3, bias_deg_h))
-
-
-def with_inertial_drift(gaussian: Gaussian, commanded_deg_h: FloatArray, residual_deg_h: FloatArray) -> Gaussian:
-    """Return the state that goes on by the inertial model; its drift is what was beside the commanded rate (3,)."""
-    mean = gaussian.mean.copy()
-    mean[DRIFT] += residual_deg_h
-    return _with_block(Gaussian(mean, gaussian.covariance), RATE, commanded_deg_h, np.full(3, RATE_FLOOR_DEG_H))
-
-
-def with_unknown_drift(gaussian: Gaussian, commanded_deg_h: FloatArray, drift_deg_h: FloatArray) -> Gaussian:
-    """Return the state that goes on by the inertial model, of whose drift (3,) nothing is known."""
-    drifting = _with_block(gaussian, DRIFT, np.zeros(3), drift_deg_h)
-    return _with_block(drifting, RATE, commanded_deg_h, np.full(3, RATE_FLOOR_DEG_H))
-
-
-def _with_block(gaussian: Gaussian, positions: slice, value: FloatArray, sigma: FloatArray) -> Gaussian:
-    """Return the state in which three numbers are others, correlated with nothing."""
-    mean, covariance = gaussian.mean.copy(), gaussian.covariance.copy()
-    mean[positions] = value
-    covariance[positions, :] = covariance[:, positions] = 0.0
-    covariance[positions, positions] = np.diag(sigma**2)
-    return Gaussian(mean, covariance)
+    former_us = from_us
+    for place in range(len(records)):
+        if records["row"][place] == number and records["kind"][place] == BODY_RATE:
+            if records["epoch_us"][place] - former_us > HELD_US:
+                return False
+            former_us = records["epoch_us"][place]
+    return bool(to_us - former_us <= HELD_US)

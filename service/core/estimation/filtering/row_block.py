@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from service.core.arrays import FloatArray
+from service.core.arrays import BoolArray, FloatArray
 from service.core.estimation.filtering.declared import Declared
 from service.core.estimation.filtering.filter_model import KnownMotion
 from service.core.estimation.filtering.plant import FilterModel
@@ -111,6 +111,29 @@ RESULT_CARRIER = np.dtype(
     ],
     align=True,
 )
+#: what a record of a sensor of motion tells
+WHEELS, ANGLE, BODY_RATE = 0, 1, 2
+#: a record of a sensor of motion, due before a row
+RECORD = np.dtype(
+    [
+        # number of the row in its block; `WHEELS`, `ANGLE` or `BODY_RATE`; number of the polarimeter
+        ("row", "i8"),
+        ("kind", "i8"),
+        ("feed", "i8"),
+        ("epoch_us", "i8"),
+        # momentum of the wheels along roll, pitch, yaw; whether they unload, and whether none can hold as much
+        ("momentum_n_m_s", "f8", (3,)),
+        ("is_unloading", "?"),
+        ("is_impossible", "?"),
+        # some minutes of a polarimeter, as in `AngleBlock`
+        ("angle_deg", "f8"),
+        ("variance_deg2", "f8"),
+        ("co_power_dbm", "f8"),
+        # about yaw, roll and pitch, pitch without the turn of the orbit
+        ("rate_deg_h", "f8", (3,)),
+    ],
+    align=True,
+)
 
 
 class RowBlock(NamedTuple):
@@ -121,6 +144,8 @@ class RowBlock(NamedTuple):
     carriers: NDArray[np.void]
     #: (T, n, 2, 3) turns of unreported commands if executed, deg, and their rates at the end, deg/h
     unreported: FloatArray
+    #: (M,) of `RECORD`, by kind and epoch
+    records: NDArray[np.void]
 
 
 class BlockResult(NamedTuple):
@@ -140,11 +165,20 @@ class RowTrace(NamedTuple):
     #: (n, 2 D + 1) whitened by the covariance of the innovations, L L': L^-1 H, L^-1 H P and L^-1 nu, linearised where
     #: they led; rows of NaN where there was none
     update: FloatArray
+    #: (M, 3, 2 D + 1) the records before it in the same form, and (M + 1, D) the states that began again at each, and
+    #: at the rate of the body, which is the last
+    sensed: FloatArray
+    is_restarted: BoolArray
 
 
 def empty_block(rows: int, carriers: int, shares: int = 0) -> RowBlock:
     """Return rows without readings, of which nothing is known."""
-    block = RowBlock(np.zeros(rows, ROW), np.zeros((rows, carriers), ROW_CARRIER), np.zeros((rows, shares, 2, 3)))
+    block = RowBlock(
+        np.zeros(rows, ROW),
+        np.zeros((rows, carriers), ROW_CARRIER),
+        np.zeros((rows, shares, 2, 3)),
+        np.zeros(0, RECORD),
+    )
     block.carriers["deviation_db"] = block.carriers["reported_wet"] = np.nan
     return block
 
@@ -173,8 +207,12 @@ def empty_result(rows: int, carriers: int) -> BlockResult:
     return BlockResult(np.zeros(rows, RESULT), np.zeros((rows, carriers), RESULT_CARRIER))
 
 
-def empty_trace(states: int, hidden: int, carriers: int) -> RowTrace:
-    """Return room for the trace of a row, none where all are zero."""
+def empty_trace(states: int, hidden: int, carriers: int, records: int = 0) -> RowTrace:
+    """Return room for the trace of a row that some records precede, none where all are zero."""
     return RowTrace(
-        np.ones(states), np.zeros((12, 9 + hidden) if states else (0, 0)), np.full((carriers, 2 * states + 1), np.nan)
+        np.ones(states),
+        np.zeros((12, 9 + hidden) if states else (0, 0)),
+        np.full((carriers, 2 * states + 1), np.nan),
+        np.full((records, 3, 2 * states + 1), np.nan),
+        np.zeros((records + 1, states), dtype=np.bool_),
     )

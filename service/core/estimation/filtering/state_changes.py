@@ -19,7 +19,7 @@ from service.core.estimation.filtering.filter_model import (
     core_size,
     hidden_count,
 )
-from service.core.estimation.filtering.filter_state import CARRIER, FilterState, initial_carriers
+from service.core.estimation.filtering.filter_state import CARRIER, FilterState, initial_carriers, initial_rates
 from service.core.estimation.filtering.plant import (
     TORQUES,
     has_torque,
@@ -29,7 +29,7 @@ from service.core.estimation.filtering.plant import (
     torque_prior_deg_h2,
 )
 from service.core.estimation.filtering.polarimeter import polarimeter_covariance, with_learned_feeds
-from service.core.estimation.filtering.rate_sensor import RateWatch, inertial_motion
+from service.core.estimation.filtering.rate_sensor import follow_model
 from service.core.estimation.filtering.wheel_momentum import momentum_covariance, with_learned_momentum
 
 #: one standard deviation of the share of a command that nobody has reported
@@ -143,9 +143,11 @@ def _begun(gaussian: Gaussian, position: int, settings: FilterSettings) -> Gauss
     return with_learned_momentum(gaussian, position + TORQUES, settings)
 
 
-def without_rates(state: FilterState, watch: RateWatch) -> FilterState:
-    """Return the state of a filter that goes on by the inertial model, whatever the watch on the rates says."""
-    return inertial_motion(watch, state)[1]
+def without_rates(state: FilterState) -> FilterState:
+    """Return the state of a filter that goes on by the inertial model and has judged no rate of the body."""
+    moved = FilterState._make(each.copy() for each in state)
+    follow_model(moved)
+    return moved._replace(rates=initial_rates())
 
 
 def carry_over(
@@ -200,7 +202,9 @@ def carry_over(
     anchor = np.full((*state.anchor.shape[:2], len(position)), np.nan)
     sigma_db = np.where(is_unknown, np.sqrt(FREE_REFERENCE_DB2), reference_sigma_db)
     gaussian = _carried_gaussian(old, new, state.gaussian, source, reference_db, sigma_db)
-    carried = FilterState(*gaussian, carriers, state.watch, aside_db, anchor, state.sensitivity)
+    carried = FilterState(
+        *gaussian, carriers, state.watch, aside_db, anchor, state.sensitivity, state.sensors, state.rates
+    )
     calm = {"anchor_minutes": 0, "answered_us": since_us}
     unknown = dict.fromkeys(("level_deg", "nominal_deg", "answer_sigma_deg"), np.nan)
     return without_evidence(carried.with_watch(**calm, **unknown))

@@ -8,40 +8,38 @@ H N m s along x roll, y pitch, z yaw of the orbital frame; b deg, s relative. T 
 the torque states, which stand before these. With a momentum along pitch H is a gyroscope that remembers yaw.
 
 Two records beyond five sigma in a row are a jump, which thrusters make: the momentum is freed. The law of this file:
-momentum moves nothing else; a record of telemetry has one weight.
+momentum moves nothing else; a record of telemetry has one weight. What takes a record is compiled as it stands.
 """
 
 import math
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.core.arrays import FloatArray, IntArray
 from service.core.estimation.filtering.filter_model import (
-    ATTITUDE,
     DRIFT,
+    ORBITAL_RATE_PER_H,
     RATE,
     FilterSettings,
     Gaussian,
     MomentumModel,
     no_carriers,
 )
-from service.core.estimation.filtering.motion import (
-    ORBITAL_RATE_PER_H,
-    momentum_turn,
-    walked_variance,
-    write_momentum,
-)
+from service.core.estimation.filtering.filter_state import NEVER_US
+from service.core.estimation.filtering.motion import momentum_turn, walked_variance, write_momentum
 from service.core.estimation.filtering.motion_sensor import (
     GATE,
-    NEVER_US,
-    NO_EFFECT,
     TRUSTED,
-    SensorEffect,
-    SensorUpdate,
-    SensorWatch,
-    judged,
-    with_record,
+    Comparison,
+    begin_record,
+    count_jump,
+    greatest_excess,
+    judge_record,
+    mean_square,
+    use_record,
 )
 from service.core.estimation.filtering.plant import (
     TORQUES,
@@ -53,8 +51,7 @@ from service.core.estimation.filtering.plant import (
     sensor_states,
 )
 
-#: positions of roll, pitch, yaw among yaw, roll, pitch
-_BODY = np.array([1, 2, 0])
+_DEGREE = math.radians(1.0)
 #: states of momentum, misalignment and scales
 _ERRORS = 7
 #: one sigma of a momentum of which nothing is known, N m s
@@ -125,118 +122,136 @@ def momentum_sources(first: int, settings: FilterSettings) -> IntArray:
     return np.concatenate([np.arange(torque, behind), np.arange(first, first + 3)])
 
 
-def compared(
-    gaussian: Gaussian,
-    first: int,
-    reported: FloatArray,
-    after_h: float,
-    settings: FilterSettings,
-    wheels: MomentumModel,
-) -> SensorUpdate:
-    """Return a record (3,), N m s, of roll, pitch, yaw against the state; `after_h` <= 0 is its age."""
-    expected, jacobian = _expected(gaussian.mean, first, after_h, settings, wheels)
-    cross = jacobian @ gaussian.covariance
-    noise = wheels.sigma_n_m_s**2 * np.eye(3)
-    return SensorUpdate(jacobian, reported - expected, cross @ jacobian.T + noise, cross)
+class WheelRecord(NamedTuple):
+    """Momentum of the wheels by telemetry."""
+
+    epoch_us: int
+    #: (3,) along roll, pitch, yaw of the body
+    momentum_n_m_s: FloatArray
+    #: whether thrusters unload the wheels
+    is_unloading: bool
 
 
-def with_free_momentum(gaussian: Gaussian, first: int, reported: FloatArray | None = None) -> Gaussian:
-    """Return the state whose H may have changed by 1 N m s; it begins at a record (3,) where one is given."""
-    mean, covariance = gaussian.mean.copy(), gaussian.covariance.copy()
-    at = np.arange(first, first + 3)
-    if reported is not None:
-        mean[at] = reported
-        covariance[at, :] = covariance[:, at] = 0.0
-    covariance[at, at] += FREE_N_M_S**2
-    return Gaussian(mean, covariance)
+def compare_momentum(
+    model: FilterModel, mean: FloatArray, covariance: FloatArray, first: int, reported: FloatArray, after_h: float
+) -> Comparison:
+    """Return a record (3,), N m s, of roll, pitch, yaw against a state; `after_h` <= 0 is its age.
 
-
-def with_impossible(watch: SensorWatch) -> SensorWatch:
-    """Return the watch after a record that no wheel can hold: telemetry that begins so is refused."""
-    return watch._replace(is_refused=True) if watch.newest_us == NEVER_US else watch
-
-
-def momentum_advice(watch: SensorWatch, since_us: int, epoch_us: int, *, is_used: bool) -> dict[str, bool]:
-    """Return which advice about the telemetry of the wheels is given at an epoch of a filter that began at another."""
-    return {
-        "momentum_refused": watch.is_refused,
-        "momentum_jump": watch.has_jumped(epoch_us),
-        "momentum_silent": is_used and watch.is_silent(since_us, epoch_us),
-    }
-
-
-def push_record(
-    watch: SensorWatch,
-    gaussian: Gaussian,
-    first: int,
-    record_us: int,
-    reported: FloatArray,
-    epoch_us: int,
-    settings: FilterSettings,
-    wheels: MomentumModel,
-    *,
-    is_unloading: bool,
-) -> tuple[SensorWatch, Gaussian, SensorEffect]:
-    """Return watch and state after a record (3,) of an epoch, and its effect; the state is of a not earlier epoch.
-
-    Records that are not newer than the newest, or repeat it to the last digit, tell nothing.
+    The momentum of the state stands at `first`.
     """
-    if watch.is_refused or record_us <= watch.newest_us or np.array_equal(reported, watch.newest_n_m_s):
-        return watch, gaussian, NO_EFFECT
-    is_first = watch.newest_us == NEVER_US
-    watch = with_record(watch, record_us)._replace(heard_us=record_us, newest_n_m_s=reported)
-    effect = SensorEffect(np.arange(first, first + 3)) if is_first else NO_EFFECT
-    if is_first or is_unloading:
-        gaussian = with_free_momentum(gaussian, first, reported if is_first else None)
+    jacobian, variance = np.zeros((3, len(mean))), model.plant[0]["momentum_sigma_n_m_s"] ** 2
+    innovation = reported - _write_expected(jacobian, model, mean, first, after_h)
+    cross = jacobian @ covariance
+    return Comparison(jacobian, innovation, cross @ jacobian.T + variance * np.eye(3), cross)
+
+
+def free_momentum(covariance: FloatArray, first: int) -> None:
+    """Let H have changed by 1 N m s, in place."""
+    for place in range(first, first + 3):
+        covariance[place, place] += FREE_N_M_S**2
+
+
+def begin_momentum(mean: FloatArray, covariance: FloatArray, first: int, reported: FloatArray) -> None:
+    """Let H begin at a record (3,), in place."""
+    mean[first : first + 3] = reported
+    covariance[first : first + 3] = 0.0
+    covariance[:, first : first + 3] = 0.0
+    free_momentum(covariance, first)
+
+
+def refuse_impossible(watch: NDArray[np.void]) -> None:
+    """Judge a record that no wheel can hold: telemetry that begins so is refused."""
+    if watch["newest_us"] == NEVER_US:
+        watch["is_refused"] = True
+
+
+def push_momentum(
+    model: FilterModel,
+    watch: NDArray[np.void],
+    mean: FloatArray,
+    covariance: FloatArray,
+    first: int,
+    record: WheelRecord,
+    epoch_us: int,
+    sensed: FloatArray,
+) -> bool:
+    """Take a record into watch and state, in place; return whether the momentum begins with it.
+
+    The state is of a not earlier epoch, its momentum stands at `first`; `sensed` as `use_record` writes it. Records
+    that are not newer than the newest, or repeat it to the last digit, tell nothing.
+    """
+    record_us, reported = record.epoch_us, record.momentum_n_m_s
+    is_repeated = not (reported != watch["newest_n_m_s"]).any()
+    if watch["is_refused"] or record_us <= watch["newest_us"] or is_repeated:
+        return False
+    is_first = bool(watch["newest_us"] == NEVER_US)
+    begin_record(watch, record_us)
+    watch["heard_us"] = record_us
+    watch["newest_n_m_s"][:] = reported
+    if is_first:
+        begin_momentum(mean, covariance, first, reported)
+    elif record.is_unloading:
+        free_momentum(covariance, first)
     after_h = (record_us - epoch_us) / 3.6e9
-    found = compared(gaussian, first, reported, after_h, settings, wheels)
-    excess = found.excess
+    compared = compare_momentum(model, mean, covariance, first, reported, after_h)
+    excess = greatest_excess(compared)
     if excess > GATE:
-        if excess <= _JUMP or not watch.skipped:
-            watch = watch._replace(skipped=watch.skipped + 1)
-            return *judged(watch, gaussian, found.mean_square, _LEAST_RECORDS, _FEW_RECORDS), effect
-        watch, excess = watch.jumped(record_us), 0.0
-        gaussian = with_free_momentum(gaussian, first)
-        found = compared(gaussian, first, reported, after_h, settings, wheels)
-    mean_square = found.mean_square
-    if excess > TRUSTED:
-        found = found.widened(wheels.sigma_n_m_s**2 * ((excess / TRUSTED) ** 2 - 1.0))
-    watch = watch._replace(skipped=0)
-    after = judged(watch, found.applied(gaussian), mean_square, _LEAST_RECORDS, _FEW_RECORDS)
-    return *after, effect._replace(update=found)
+        if excess <= _JUMP or watch["skipped"] == 0:
+            watch["skipped"] += 1
+            judge_record(watch, covariance, mean_square(compared), _LEAST_RECORDS, _FEW_RECORDS)
+            return is_first
+        count_jump(watch, record_us)
+        excess = 0.0
+        free_momentum(covariance, first)
+        compared = compare_momentum(model, mean, covariance, first, reported, after_h)
+    square = mean_square(compared)
+    variance = model.plant[0]["momentum_sigma_n_m_s"] ** 2 * (max(excess / TRUSTED, 1.0) ** 2 - 1.0)
+    use_record(mean, covariance, compared, variance, sensed)
+    watch["skipped"] = 0
+    judge_record(watch, covariance, square, _LEAST_RECORDS, _FEW_RECORDS)
+    return is_first
 
 
-def _expected(
-    mean: FloatArray, first: int, after_h: float, settings: FilterSettings, wheels: MomentumModel
-) -> tuple[FloatArray, FloatArray]:
-    """Return the expected record (3,) and its Jacobian (3, D)."""
-    coupling, degree = settings.coupling_per_h, math.radians(1.0)
+def _write_expected(
+    jacobian: FloatArray, model: FilterModel, mean: FloatArray, first: int, after_h: float
+) -> FloatArray:
+    """Return the expected record (3,); its Jacobian (3, D) begins with zeros."""
+    one = model.plant[0]
+    coupling, inertia_kg_m2 = one["coupling_per_h"], one["inertia_kg_m2"]
     # angles at the record: attitude and rates of the state carried back
-    back = np.zeros((3, len(mean)))
-    back[:, ATTITUDE] = np.eye(3) + after_h * np.array([[0.0, -coupling, 0.0], [coupling, 0.0, 0.0], [0.0] * 3])
-    back[:, DRIFT] = back[:, RATE] = after_h * np.eye(3)
-    yaw, roll, pitch = (degree * (back @ mean)).tolist()
+    back = np.array([[1.0, -after_h * coupling, 0.0], [after_h * coupling, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    angles = _DEGREE * (back @ mean[:3] + after_h * (mean[3:6] + mean[6:9]))
+    yaw, roll, pitch = angles[0], angles[1], angles[2]
     turn = momentum_turn(after_h)
-    own = slice(first, first + 3)
-    x, y, z = (turn @ mean[own]).tolist()
-    bx, bz = (degree * mean[first + 3 : first + 5]).tolist()
-    sx, sz = mean[first + 5 : first + 7].tolist()
+    momentum = turn @ mean[first : first + 3]
+    x, y, z = momentum[0], momentum[1], momentum[2]
+    bx, bz = _DEGREE * mean[first + 3], _DEGREE * mean[first + 4]
     # the wheels hold what the whole body does not turn with the orbit by itself
-    whole = y - wheels.inertia_kg_m2[2] * ORBITAL_RATE_PER_H / 3600.0
+    whole = y - inertia_kg_m2[2] * ORBITAL_RATE_PER_H / 3600.0
     seen = np.array([x + whole * (yaw + bx) - z * pitch, y + z * roll - x * yaw, z - whole * (roll + bz) + x * pitch])
-    scale = np.array([1.0 + sx, 1.0, 1.0 + sz])
-    jacobian = np.zeros((3, len(mean)))
-    by_angle = degree * np.array([[whole, 0.0, -z], [-x, z, 0.0], [0.0, -whole, x]])
-    by_momentum = np.array([[1.0, yaw + bx, -pitch], [-yaw, 1.0, roll], [pitch, -(roll + bz), 1.0]])
-    jacobian += scale[:, None] * (by_angle @ back)
-    jacobian[:, own] += scale[:, None] * (by_momentum @ turn)
-    jacobian[0, first + 3], jacobian[2, first + 4] = scale[0] * degree * whole, -scale[2] * degree * whole
-    jacobian[0, first + 5], jacobian[2, first + 6] = seen[0], seen[2]
+    scale = np.array([1.0 + mean[first + 5], 1.0, 1.0 + mean[first + 6]])
+    by_angle = _DEGREE * np.array([[whole, 0.0, -z], [-x, z, 0.0], [0.0, -whole, x]])
+    by_attitude = by_angle @ back
+    by_momentum = np.array([[1.0, yaw + bx, -pitch], [-yaw, 1.0, roll], [pitch, -(roll + bz), 1.0]]) @ turn
     # what the body itself turns with, beside the constant part along pitch that H holds
-    inertia = np.array(wheels.inertia_kg_m2)[_BODY] * degree / 3600.0
-    rest = coupling - ORBITAL_RATE_PER_H
-    spin = np.zeros((3, len(mean)))
-    spin[np.arange(3), DRIFT.start + _BODY] = spin[np.arange(3), RATE.start + _BODY] = 1.0
-    spin[0, ATTITUDE.start], spin[2, ATTITUDE.start + 1] = rest, -rest
-    jacobian -= inertia[:, None] * spin
-    return scale * seen - inertia * (spin @ mean), jacobian
+    rest, expected = coupling - ORBITAL_RATE_PER_H, np.empty(3)
+    for body in range(3):
+        # roll, pitch, yaw among yaw, roll, pitch
+        axis = (body + 1) % 3
+        inertia = inertia_kg_m2[axis] * _DEGREE / 3600.0
+        spin = mean[DRIFT.start + axis] + mean[RATE.start + axis]
+        for other in range(3):
+            jacobian[body, other] = scale[body] * by_attitude[body, other]
+            jacobian[body, DRIFT.start + other] = scale[body] * after_h * by_angle[body, other]
+            jacobian[body, first + other] = scale[body] * by_momentum[body, other]
+        jacobian[body, DRIFT.start + axis] -= inertia
+        jacobian[body, RATE.start : RATE.stop] = jacobian[body, DRIFT.start : DRIFT.stop]
+        if body != 1:
+            # roll turns with yaw, yaw against roll
+            turned, share = (0, rest) if body == 0 else (1, -rest)
+            spin += share * mean[turned]
+            jacobian[body, turned] -= inertia * share
+        expected[body] = scale[body] * seen[body] - inertia * spin
+    jacobian[0, first + 3], jacobian[2, first + 4] = scale[0] * _DEGREE * whole, -scale[2] * _DEGREE * whole
+    jacobian[0, first + 5], jacobian[2, first + 6] = seen[0], seen[2]
+    return expected

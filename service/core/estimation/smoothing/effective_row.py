@@ -34,7 +34,6 @@ from service.core.estimation.filtering.filter_model import (
     hidden_count,
 )
 from service.core.estimation.filtering.filter_state import FilterState
-from service.core.estimation.filtering.motion_sensor import SensorEffect
 from service.core.estimation.filtering.plant import sensor_states
 from service.core.estimation.filtering.row_block import RowTrace
 
@@ -77,19 +76,6 @@ class SmoothedState(NamedTuple):
 def no_later_rows(states: int) -> Adjoint:
     """Return the adjoint after the newest row."""
     return Adjoint(np.zeros(states), np.zeros((states, states)))
-
-
-def whitened_row(
-    jacobian: FloatArray, innovation: FloatArray, covariance: FloatArray, cross: FloatArray
-) -> WhitenedRow:
-    """Return a row from its Jacobian H (n, D), innovations (n,), their covariance S (n, n) and ``H P`` (n, D)."""
-    # compiled scipy is imported where it is used
-    from scipy.linalg import solve_triangular
-
-    states = jacobian.shape[1]
-    lower = np.linalg.cholesky(covariance)
-    solved = solve_triangular(lower, np.column_stack([jacobian, cross, innovation]), lower=True, check_finite=False)
-    return WhitenedRow(solved[:, :states], solved[:, states:-1], solved[:, -1])
 
 
 def before_row(adjoint: Adjoint, row: WhitenedRow) -> Adjoint:
@@ -188,17 +174,17 @@ def effective_row(
     row: np.void,
     trace: RowTrace,
     origin: IntArray | None,
-    effects: Sequence[SensorEffect] = (),
 ) -> EffectiveRow:
-    """Return a row of `RESULT` with its trace, the states around it, and the records taken before it."""
-    update = trace.update[np.isfinite(trace.update[:, -1])]
-    states = len(after.mean)
+    """Return a row of `RESULT` with its trace, the records taken before it among it, and the states around it."""
+    restarted = map(np.flatnonzero, trace.is_restarted)
+    sensed = [SensedRecord(next(restarted), _whitened_row(each)) for each in trace.sensed]
+    sensed.append(SensedRecord(next(restarted), None))
     return EffectiveRow(
         after.epoch_us,
         origin,
-        tuple(SensedRecord(each.restarted, each.update and whitened_row(*each.update)) for each in effects),
+        tuple(each for each in sensed if each.update is not None or len(each.restarted)),
         _linear_step(model, settings, trace),
-        WhitenedRow(update[:, :states], update[:, states:-1], update[:, -1]) if len(update) else None,
+        _whitened_row(trace.update),
         float(row["rain_push_1_db"]),
         bool(before.watch["is_raining"][0] and not after.watch["is_raining"][0]),
         restarted_states(after.covariance),
@@ -206,6 +192,12 @@ def effective_row(
         after.covariance[:_MOVING].copy(),
         settings.coupling_per_h,
     )
+
+
+def _whitened_row(traced: FloatArray) -> WhitenedRow | None:
+    """Return the measurements of a trace (n, 2 D + 1), None where there were none."""
+    rows, states = traced[np.isfinite(traced[:, -1])], traced.shape[1] // 2
+    return WhitenedRow(rows[:, :states], rows[:, states:-1], rows[:, -1]) if len(rows) else None
 
 
 def state_origin(

@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.core.estimation.filtering.filter_model import FilterSettings
+from service.core.estimation.filtering.filter_state import NEVER_US
 from service.core.estimation.filtering.integrity import REASONS
-from service.core.estimation.filtering.polarimeter import polarimeter_advice
+from service.core.estimation.filtering.motion_sensor import sensor_advice
 from service.core.estimation.filtering.row import MIN_CARRIERS
 from service.core.estimation.filtering.row_block import EXCLUSIONS, BlockResult
 from service.core.estimation.filtering.state_changes import sensors_of
-from service.core.estimation.filtering.wheel_momentum import momentum_advice
 from service.core.estimation.snapshot.snapshot import CarrierUse, Snapshots
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.robust.model import RobustModel
@@ -80,7 +80,7 @@ def filtered_rows(
     is_catch_up: bool,
     config: ChainConfig,
 ) -> list[AttitudeRow]:
-    """Return the archive's rows of a block of the filter; the state is that before the block.
+    """Return the archive's rows of a block of the filter; the state is that after the block.
 
     `is_without_orbit` (T,) says which rows the ephemeris does not reach.
     """
@@ -177,12 +177,14 @@ def _advice(
     is_shown = model.is_torque_unknown and bool(row["is_torque_shown"])
     given = {"realign": bool(row["is_realignment_advised"]), "state_torque": is_shown}
     if model.has_sensors or model.contradicted or model.is_rate_in_loop:
-        since_us, is_used = state.commanded.since_us, model.settings.momentum is not None
         given |= dict.fromkeys(sorted(model.contradicted), True)
-        given |= momentum_advice(state.momentum, since_us, epoch_us, is_used=is_used)
-        given["rates_refused"] = state.rates.is_refused
+        wheels = sensor_advice(state.filter.sensors[:1], state.commanded.since_us, epoch_us)
+        given["momentum_refused"], given["momentum_jump"], is_silent = wheels
+        given["momentum_silent"] = is_silent and model.settings.momentum is not None
+        given["rates_refused"] = bool(state.filter.rates["is_refused"][0])
         given["rates_in_loop"] = model.is_rate_in_loop and knowledge.has_rate(epoch_us)
-        given |= polarimeter_advice(state.polarimeters, epoch_us)
+        feeds = sensor_advice(state.filter.sensors[1:], NEVER_US, epoch_us)
+        given["polarimeter_refused"], given["polarimeter_moved"], given["polarimeter_silent"] = feeds
     return tuple(code for code, is_given in given.items() if is_given)
 
 

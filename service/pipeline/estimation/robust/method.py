@@ -17,10 +17,8 @@ from service.core.estimation.filtering.filter_model import (
     initial_gaussian,
     no_motion,
 )
-from service.core.estimation.filtering.filter_state import start
-from service.core.estimation.filtering.motion_sensor import SensorWatch
+from service.core.estimation.filtering.filter_state import initial_sensors, start
 from service.core.estimation.filtering.prediction import site_level_db
-from service.core.estimation.filtering.rate_sensor import fresh_rates
 from service.core.estimation.filtering.readings import frozen_readings, no_readings, standing_readings
 from service.core.estimation.filtering.row_block import (
     LOST,
@@ -46,6 +44,7 @@ from service.pipeline.estimation.robust.attitude_rows import filtered_rows, late
 from service.pipeline.estimation.robust.model import RobustModel, signals
 from service.pipeline.estimation.robust.robust_state import RobustState, RobustStep
 from service.pipeline.estimation.robust.row_recorder import RowRecorder
+from service.pipeline.estimation.robust.sensor_records import due_records
 from service.pipeline.inputs.declared_operations import declared_between, with_chain_step
 from service.pipeline.inputs.knowledge import Knowledge
 from service.pipeline.inputs.known_motion import CommandedMotion, consume
@@ -69,7 +68,12 @@ def initial_state(
         drift_deg_h=model.settings.drift_deg_h,
         chain_sigma_db=config.robust.common_reference_sigma_db,
     )
-    state = start(model.filter, alignment.epoch_us, with_torque(model.filter, gaussian, model.settings))
+    state = start(
+        model.filter,
+        alignment.epoch_us,
+        with_torque(model.filter, gaussian, model.settings),
+        len(model.polarimeters),
+    )
     # a carrier that nobody knows has no level to come back to
     known_db = np.where(model.is_referenced, 0.0, np.nan)
     state = state.with_carriers(
@@ -84,11 +88,12 @@ def carried_state(state: RobustState, old: RobustModel, new: RobustModel) -> Rob
     if torque_of(old.settings) != torque_of(new.settings):
         pushed = with_stated_torque(old.filter, state.filter, len(state.released), old.settings, new.settings)
         state = replace(state, filter=pushed)
-    # the sensors' states begin again together
-    is_same = sensors_of(old.settings) == sensors_of(new.settings)
-    state = state if is_same else replace(state, momentum=SensorWatch(), polarimeters=())
+    if sensors_of(old.settings) != sensors_of(new.settings):
+        # the sensors' states begin again together
+        sensors = initial_sensors(len(new.polarimeters), state.filter.epoch_us)
+        state = replace(state, filter=state.filter._replace(sensors=sensors))
     if old.rate_sensor != new.rate_sensor:
-        state = replace(state, filter=without_rates(state.filter, state.rates), rates=fresh_rates())
+        state = replace(state, filter=without_rates(state.filter))
     if old.carrier_ids == new.carrier_ids and old.calibration_id == new.calibration_id:
         return state
     position_of = {signal: k for k, signal in enumerate(signals(old.carrier_ids, old.fit))}
@@ -159,18 +164,20 @@ def take_rows(
     deviation_db = _deviations_db(state, model, np.where(is_frozen, np.nan, power_dbm), expected_dbm)
     block.carriers["deviation_db"] = deviation_db
     commanded, released = _write_inputs(state, model, knowledge, measurements, block, config)
-    trace = None if recorder is None else empty_trace(*_sizes(model, state), carriers)
+    if model.has_sensors:
+        # such rows are taken alone
+        block = block._replace(records=due_records(state.filter, model, knowledge, measurements[0].epoch_us))
+    trace = None if recorder is None else empty_trace(*_sizes(model, state), carriers, len(block.records))
     after = advance(model.arrays, state.filter, block, result, trace)
     if (result.rows["status"] == LOST).any():
         message = "the filter lost its numbers; the state before this row is kept"
         raise ArithmeticError(message)
     if recorder is not None and trace is not None:
         recorder.push(model, state.filter, after, result.rows[0], trace)
-    watches = state.momentum, state.rates, state.polarimeters
-    last = RobustState(after, commanded, readings, released, measurements[-1].source, *watches)
+    last = RobustState(after, commanded, readings, released, measurements[-1].source)
     is_without_orbit = np.asarray(~np.isfinite(expected_dbm).any(axis=1))
     rows = filtered_rows(
-        measurements, model, knowledge, state, result, is_without_orbit, is_catch_up=is_catch_up, config=config
+        measurements, model, knowledge, last, result, is_without_orbit, is_catch_up=is_catch_up, config=config
     )
     found = result.carriers
     return [
@@ -212,8 +219,7 @@ def _write_inputs(
         if released:
             unreported, released = _unreported(released, from_us, to_us)
             known = known._replace(unreported=unreported)
-        # a measured rate holds all of it
-        if known is not no_motion() and not state.rates.is_measured:
+        if known is not no_motion():
             write_known(block, number, known)
         declared = declared_between(operations, model.names, from_us, to_us, config.operations)
         if source is not None and source != measurement.source:

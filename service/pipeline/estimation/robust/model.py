@@ -1,7 +1,7 @@
 """Model of the robust method from calibration, alignment and ephemeris; fixed until one of them changes."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -9,7 +9,6 @@ import numpy as np
 from service.core.estimation.calibration.geometry_columns import QuadraticResponse, predict_deviation
 from service.core.estimation.filtering.filter_model import CarrierModel, FilterSettings, RateSensorModel
 from service.core.estimation.filtering.plant import FilterModel, IntegrityLimits, filter_model, is_pushed
-from service.core.estimation.filtering.rate_sensor import measured_settings
 from service.core.estimation.snapshot.snapshot_steps import subset_orders
 from service.pipeline.carrier_model.expected_level import (
     ExpectedLevel,
@@ -32,7 +31,7 @@ from service.pipeline.inputs.known_motion import (
     rate_sensor_model,
     residual_torque_n_m,
 )
-from service.pipeline.inputs.polarization import polarimeter_models, used_polarimeters
+from service.pipeline.inputs.polarization import OrbitTurn, polarimeter_models, used_polarimeters
 from service.records.calibration import Alignment, Calibration, CalibrationResult, GeometryFit
 from service.records.catalogue import Ephemeris, Method, Polarimeter, Spacecraft
 from service.records.levels.attitude import BoolArray, FloatArray, IntArray
@@ -78,8 +77,9 @@ class RobustModel:
     is_torque_unknown: bool
     #: advice about measured motion that the filter would use if the turns did not contradict it
     contradicted: frozenset[str]
-    #: that the filter uses, as its settings have them
+    #: that the filter uses, as its settings have them, and what the orbit turns about each line of sight
     polarimeters: tuple[Polarimeter, ...]
+    orbit_turns: tuple[OrbitTurn, ...]
     #: rate sensor whose records move the angles; None = there is none, or it tells nothing new
     rate_sensor: RateSensorModel | None
     is_rate_in_loop: bool
@@ -88,15 +88,8 @@ class RobustModel:
 
     @cached_property
     def arrays(self) -> FilterModel:
-        """Carriers, spacecraft and limits as the compiled filter takes them."""
-        return filter_model(self.filter, self.settings, self.limits)
-
-    @cached_property
-    def measured(self) -> "RobustModel":
-        """Model of a step whose rate a sensor measured; the same where there is none."""
-        if self.rate_sensor is None:
-            return self
-        return replace(self, settings=measured_settings(self.settings, self.rate_sensor))
+        """Carriers, spacecraft, limits and sensors as the compiled filter takes them."""
+        return filter_model(self.filter, self.settings, self.limits, self.rate_sensor)
 
     @cached_property
     def sigma_db(self) -> FloatArray:
@@ -179,6 +172,9 @@ def robust_model(
         is_torque_unknown=is_torque_unknown(spacecraft),
         contradicted=_contradicted(spacecraft, calibration),
         polarimeters=used_polarimeters(spacecraft, calibration.contradicted_polarimeters),
+        orbit_turns=tuple(
+            OrbitTurn(ephemeris, spacecraft, each.sight) for each in settings.polarimeters if spacecraft is not None
+        ),
         rate_sensor=rate_sensor_model(spacecraft, is_contradicted=calibration.is_rates_contradicted),
         is_rate_in_loop=is_rate_in_loop(spacecraft),
         calibration_id=calibration.id,

@@ -1,14 +1,12 @@
 """State of the robust method between two rows, the outcome of a row, and both as they are saved and restored."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.core.estimation.filtering.filter_state import FilterState
-from service.core.estimation.filtering.motion_sensor import SensorWatch
-from service.core.estimation.filtering.rate_sensor import RateWatch, fresh_rates
 from service.pipeline.estimation.robust.model import RobustModel
 from service.pipeline.inputs.known_motion import CommandedMotion
 from service.records.catalogue import Ephemeris
@@ -27,12 +25,6 @@ class RobustState:
     released: tuple[tuple[int, CommandedMotion], ...] = ()
     #: source of the newest row, None before the first
     source: str | None = None
-    #: judgement of the records of wheel momentum
-    momentum: SensorWatch = field(default_factory=SensorWatch)
-    #: judgement of the records of the rate of the body
-    rates: RateWatch = field(default_factory=fresh_rates)
-    #: judgement of the angles of each polarimeter
-    polarimeters: tuple[SensorWatch, ...] = ()
 
 
 class RobustStep(NamedTuple):

@@ -42,7 +42,6 @@ from service.pipeline.estimation.robust.robust_state import (
     saved_robust,
 )
 from service.pipeline.estimation.robust.row_recorder import RowRecorder
-from service.pipeline.estimation.robust.sensor_records import with_records
 from service.pipeline.inputs.knowledge import Knowledge, Lookup
 from service.pipeline.inputs.known_motion import (
     CommandedMotion,
@@ -167,7 +166,7 @@ def steps_in_time(
     config: ChainConfig,
     recorder: RowRecorder | None = None,
 ) -> list[RobustStep]:
-    """Take rows in time, whose powers are (T, N), in as few blocks as they need, with the records due before each."""
+    """Take rows in time, whose powers are (T, N), in as few blocks as they need."""
     if len(measurements) > 1 and taken_alone(state, model, recorder):
         steps: list[RobustStep] = []
         for number, measurement in enumerate(measurements):
@@ -182,7 +181,6 @@ def steps_in_time(
                 recorder=recorder,
             )
         return steps
-    state, model = with_records(state, model, knowledge, measurements[0].epoch_us, recorder)
     return take_rows(
         state,
         model,

@@ -294,7 +294,7 @@ def test_a_row_after_a_gap_catches_up_with_what_was_commanded_meanwhile(flight):
 
 def declared(stepped, kind, start, stop, **changes):
     operation = Operation(1, kind, ALIGNED_US + start * MINUTE, ALIGNED_US + stop * MINUTE, **changes)
-    stepped.knowledge = replace(stepped.knowledge, operations={1: operation})
+    stepped.knowledge = stepped.knowledge._replace(operations={1: operation})
 
 
 def test_carriers_that_are_worked_on_are_masked_and_come_back_at_another_level():

@@ -24,15 +24,17 @@ from service.core.estimation.filtering.filter_model import (
     Gaussian,
     LearnedFeed,
     PolarimeterModel,
+    no_carriers,
 )
-from service.core.estimation.filtering.motion_sensor import SensorWatch
-from service.core.estimation.filtering.plant import POLARIMETER, TORQUES, WANDER, torque_covariance
-from service.core.estimation.filtering.polarimeter import AngleBlock, polarimeter_covariance, push_block
+from service.core.estimation.filtering.filter_state import initial_sensors
+from service.core.estimation.filtering.plant import POLARIMETER, TORQUES, WANDER, filter_model, torque_covariance
+from service.core.estimation.filtering.polarimeter import AngleBlock, polarimeter_covariance, push_angle
 from service.core.estimation.filtering.wheel_momentum import (
+    WheelRecord,
     learned_positions,
     momentum_covariance,
     moved_momentum,
-    push_record,
+    push_momentum,
 )
 
 #: records are averaged over so much, h
@@ -129,12 +131,12 @@ def feed_turn(blocks: Sequence[AngleBlock], polarimeter: PolarimeterModel) -> Le
     covariance = np.zeros((_FIRST + POLARIMETER,) * 2)
     covariance[_FIRST:, _FIRST:] = polarimeter_covariance(settings)
     gaussian, newest_us = Gaussian(np.zeros(len(covariance)), covariance), blocks[0].epoch_us
-    watch = SensorWatch(newest_us)
+    watch, feed = initial_sensors(1, newest_us)[1], filter_model(no_carriers(), settings).feeds[0]
     for block in blocks:
         gaussian = _wandered(gaussian, (block.epoch_us - newest_us) / _US_PER_H, polarimeter)
         newest_us = block.epoch_us
-        watch, gaussian, _ = push_block(watch, gaussian, _FIRST, block, newest_us, polarimeter)
-    if watch.is_refused:
+        push_angle(feed, watch, *gaussian, _FIRST, block, newest_us, np.zeros((0, 0)))
+    if watch["is_refused"]:
         return None
     own = slice(_FIRST, _FIRST + WANDER)
     return LearnedFeed(tuple(gaussian.mean[own].tolist()), tuple(map(tuple, gaussian.covariance[own, own].tolist())))
@@ -415,25 +417,18 @@ def gathered_torque(
     if wheels is None:
         message = "a torque that gathers needs settings with the momentum of wheels"
         raise ValueError(message)
-    gaussian, watch = _beginning(settings, momentum_covariance(settings, wheels)), SensorWatch()
+    gaussian, watch = _beginning(settings, momentum_covariance(settings, wheels)), initial_sensors(0, 0)[0]
+    model = filter_model(no_carriers(), settings)
     known = np.isfinite(attitude_deg).all(axis=1) & np.isfinite(reported_n_m_s).all(axis=1)
     newest_us = int(epochs_us[known][0]) if known.any() else 0
     for k in np.flatnonzero(known).tolist():
         epoch_us = int(epochs_us[k])
         moved = moved_momentum(gaussian, _FIRST_WHEEL, newest_us, epoch_us - newest_us, settings)
-        watch, gaussian, _ = push_record(
-            watch,
-            _at_attitude(moved, attitude_deg[k], attitude_sigma_deg),
-            _FIRST_WHEEL,
-            epoch_us,
-            reported_n_m_s[k],
-            epoch_us,
-            settings,
-            wheels,
-            is_unloading=bool(is_unloading[k]),
-        )
+        gaussian = _at_attitude(moved, attitude_deg[k], attitude_sigma_deg)
+        record = WheelRecord(epoch_us, reported_n_m_s[k], bool(is_unloading[k]))
+        push_momentum(model, watch, *gaussian, _FIRST_WHEEL, record, epoch_us, np.zeros((0, 0)))
         newest_us = epoch_us
-    if watch.is_refused:
+    if watch["is_refused"]:
         return None
     own = learned_positions(_FIRST_WHEEL, settings)
     return GatheredFit(gaussian.mean[own], gaussian.covariance[np.ix_(own, own)], int(known.sum()))

@@ -102,7 +102,7 @@ def test_reported_rain_belongs_to_the_carriers_of_the_station(knowledge, documen
             knowledge.plan.carriers, ["Kyiv", "Kyiv", "Minsk", ""] * len(payload.ids), strict=False
         )
     )
-    named = replace(knowledge, plan=replace(knowledge.plan, carriers=carriers))
+    named = knowledge._replace(plan=replace(knowledge.plan, carriers=carriers))
     for report in (WeatherReport("radar", "Kyiv", 0, 4.0), WeatherReport("radar", "Minsk", 0, 0.0)):
         named = update(named, report, documents)
     np.testing.assert_array_equal(named.reported_wet([*payload.ids[:4], "c99"], 0), [1.0, 1.0, 0.0, np.nan, np.nan])

@@ -92,7 +92,7 @@ class RecordedChain:
     def update(self, content):
         self.announced.append(content)
         if isinstance(content, PlanChange):
-            self.knowledge = replace(self.knowledge, plan=SimpleNamespace(id=content.plan_id))
+            self.knowledge = self.knowledge._replace(plan=SimpleNamespace(id=content.plan_id))
 
 
 class Link:

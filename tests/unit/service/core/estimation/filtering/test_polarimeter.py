@@ -13,16 +13,16 @@ from service.core.estimation.filtering.filter_model import (
     PolarimeterModel,
     no_carriers,
 )
+from service.core.estimation.filtering.filter_state import NEVER_US, initial_sensors
 from service.core.estimation.filtering.motion import hidden_decay
-from service.core.estimation.filtering.motion_sensor import SensorWatch
+from service.core.estimation.filtering.motion_sensor import sensor_advice, use_record
 from service.core.estimation.filtering.plant import POLARIMETER, filter_model, momentum_count, sensor_states
 from service.core.estimation.filtering.polarimeter import (
     AngleBlock,
     angle_deg,
-    compared_angle,
-    polarimeter_advice,
+    compare_angle,
     polarimeter_covariance,
-    push_block,
+    push_angle,
     ratio_db,
     slope_db_deg,
     with_learned_feeds,
@@ -32,6 +32,13 @@ HOUR_US, STEP_US = 3_600_000_000, 300_000_000
 READ = PolarimeterModel((0.99, -0.09, -0.13))
 #: nine core states, chain and rain, four of the polarimeter
 FIRST, SIZE = 11, 15
+
+
+def feed_of(polarimeter):
+    return filter_model(no_carriers(), FilterSettings(polarimeters=(polarimeter,))).feeds[0]
+
+
+FEED = feed_of(READ)
 
 
 def read_state():
@@ -64,21 +71,29 @@ def test_the_measurement_follows_attitude_and_its_own_states(epoch_h, after_h):
     mean = read_state().mean
     then = mean[:3] + after_h * mean[3:6]
     expected = then @ np.array(READ.sight) + 1.04 + 0.02 * math.cos(phase) - 0.03 * math.sin(phase)
-    found = compared_angle(read_state(), FIRST, expected + 0.2, 0.01, epoch_us, after_h, READ)
+    block = AngleBlock(epoch_us + round(after_h * HOUR_US), expected + 0.2, 0.01, math.nan)
+    found = compare_angle(FEED, *read_state(), FIRST, block, 0.0, epoch_us)
     assert found.innovation[0] == pytest.approx(0.2)
     assert found.covariance[0, 0] == pytest.approx(
         float(found.cross[0, :3] @ np.array(READ.sight)) + 9.0 + 0.005 + 0.01, abs=1e-4
     )
 
 
+def used(gaussian, measured_deg, variance_deg2):
+    """Return the state after an angle that is believed."""
+    gaussian = Gaussian(*(each.copy() for each in gaussian))
+    found = compare_angle(FEED, *gaussian, FIRST, AngleBlock(0, measured_deg, variance_deg2, math.nan), 0.0, 0)
+    use_record(*gaussian, found, 0.0, np.zeros((0, 0)))
+    return gaussian
+
+
 def test_a_first_angle_sets_the_offset_and_leaves_yaw():
     before = read_state()
-    found = compared_angle(before, FIRST, 2.0, 0.005, 0, 0.0, READ)
-    after = found.applied(before)
+    after = used(before, 2.0, 0.005)
     assert after.mean[0] == pytest.approx(before.mean[0], abs=2e-3)
     assert after.covariance[0, 0] == pytest.approx(before.covariance[0, 0], rel=2e-3)
     # a change is of yaw, as far as the wander allows: 0.1 deg of yaw beside some hundredths
-    again = compared_angle(after, FIRST, 2.1, 0.0005, 0, 0.0, READ).applied(after)
+    again = used(after, 2.1, 0.0005)
     assert again.covariance[0, 0] < after.covariance[0, 0]
     np.testing.assert_array_equal(again.covariance, again.covariance.T)
 
@@ -113,26 +128,36 @@ def test_a_filter_begins_with_what_quiet_days_told_of_each_feed():
 
 
 YAWED = PolarimeterModel((1.0, 0.0, 0.0))
-Judged = tuple[SensorWatch, Gaussian]
 
 
 def settled():
     """Return the watch and the state after the first angle, 1 deg at a yaw of 0."""
     sigma = [0.1, 0.02, 0.02, *(0.04,) * 3, *(1e-4,) * 3, 0.1, 1e-3, 3.0, 0.05, 0.05, 0.05]
-    return pushed((SensorWatch(0), Gaussian(np.zeros(SIZE), np.diag(np.square(sigma)))), 1.0)
+    return pushed((initial_sensors(1, 0)[1:], Gaussian(np.zeros(SIZE), np.diag(np.square(sigma)))), 1.0)
 
 
 def pushed(judged, angle_deg, power_dbm=-55.0, number=None):
     """Return watch and state after a block, five minutes after the one before, in which yaw may have turned."""
     watch, gaussian = judged
     gaussian = Gaussian(gaussian.mean, gaussian.covariance + np.diag([0.05**2, *(0.0,) * (SIZE - 1)]))
-    epoch_us = max(watch.newest_us, 0) + STEP_US if number is None else number * STEP_US
-    block = AngleBlock(epoch_us, angle_deg, 0.001, power_dbm)
-    return push_block(watch, gaussian, FIRST, block, epoch_us, YAWED)[:2]
+    epoch_us = max(int(watch["newest_us"][0]), 0) + STEP_US if number is None else number * STEP_US
+    return taken(watch, gaussian, AngleBlock(epoch_us, angle_deg, 0.001, power_dbm), YAWED)
+
+
+def taken(watch, gaussian, block, polarimeter):
+    """Return watch and state after a block of now, those given as they were."""
+    watch, gaussian = watch.copy(), Gaussian(*(each.copy() for each in gaussian))
+    push_angle(feed_of(polarimeter), watch[0], *gaussian, FIRST, block, block.epoch_us, np.zeros((0, 0)))
+    return watch, gaussian
+
+
+def told(watches, epoch_us):
+    names, advised = ("refused", "moved", "silent"), sensor_advice(watches, NEVER_US, epoch_us)
+    return [name for name, stands in zip(names, advised, strict=True) if stands]
 
 
 def advice(judged):
-    return [name for name, stands in polarimeter_advice((judged[0],), judged[0].newest_us).items() if stands]
+    return told(judged[0], int(judged[0]["newest_us"][0]))
 
 
 def test_a_change_of_the_angle_is_one_of_yaw_and_a_wild_one_of_nothing():
@@ -140,7 +165,7 @@ def test_a_change_of_the_angle_is_one_of_yaw_and_a_wild_one_of_nothing():
     assert pushed(before, 1.1)[1].mean[0] > 0.02
     wild = pushed(before, 3.0)
     np.testing.assert_array_equal(wild[1].mean, before[1].mean)
-    assert wild[0].skipped == 1
+    assert wild[0]["skipped"][0] == 1
     # beyond two sigma the pull grows no more as the angle does
     pull = [pushed(before, 1.0 + change)[1].mean[0] for change in (0.1, 0.2)]
     assert pull[1] < 1.7 * pull[0]
@@ -150,7 +175,7 @@ def test_three_blocks_beside_in_quiet_power_are_a_moved_feed():
     judged = settled()
     for _block in range(3):
         judged = pushed(judged, 3.0)
-    assert advice(judged) == ["polarimeter_moved"]
+    assert advice(judged) == ["moved"]
     assert judged[1].mean[0] == pytest.approx(0.0, abs=2e-3)
     after = pushed(judged, 3.0)
     assert after[1].mean[FIRST] == pytest.approx(3.0, abs=0.05)
@@ -175,23 +200,25 @@ def test_a_deep_fade_is_told_after_three_hours_until_the_power_is_back():
         judged = pushed(judged, 1.0, -62.0)
         assert advice(judged) == []
     judged = pushed(judged, 1.0, -62.0)
-    assert advice(judged) == ["polarimeter_silent"]
+    assert advice(judged) == ["silent"]
     assert advice(pushed(judged, 1.0)) == []
 
 
 def test_a_polarimeter_that_never_spoke_is_told_and_a_refused_one_is_not():
-    watch = SensorWatch(STEP_US)
+    watch = initial_sensors(1, STEP_US)[1:]
+    refused = watch.copy()
+    refused["is_refused"] = True
     for hours, is_told in ((3.0, False), (3.1, True)):
         epoch_us = STEP_US + round(hours * 3.6e9)
-        assert polarimeter_advice((watch,), epoch_us)["polarimeter_silent"] is is_told
-        assert not polarimeter_advice((watch._replace(is_refused=True),), epoch_us)["polarimeter_silent"]
-    assert not any(polarimeter_advice((), 10**15).values())
+        assert told(watch, epoch_us) == ["silent"] * is_told
+        assert told(refused, epoch_us) == ["refused"]
+    assert told(watch[:0], 10**15) == []
 
 
 def test_blocks_that_are_not_newer_tell_nothing():
     before = settled()
     watch, gaussian = pushed(before, 1.5, number=1)
-    assert watch is before[0]
+    assert repr(watch) == repr(before[0])
     np.testing.assert_array_equal(gaussian.mean, before[1].mean)
 
 
@@ -199,9 +226,9 @@ def test_a_polarimeter_that_keeps_disagreeing_is_refused_and_yaw_known_less():
     judged, rng = settled(), np.random.default_rng(1)
     for _block in range(80):
         judged = pushed(judged, 1.0 + float(rng.normal(0.0, 0.6)))
-    assert "polarimeter_refused" in advice(judged)
+    assert "refused" in advice(judged)
     assert judged[1].covariance[0, 0] >= 0.2**2
-    assert pushed(judged, 1.0)[0] is judged[0]
+    assert repr(pushed(judged, 1.0)[0]) == repr(judged[0])
 
 
 @pytest.mark.parametrize(
@@ -211,11 +238,11 @@ def test_a_first_angle_off_what_the_calibration_saw_frees_the_offset(moved_deg, 
     sigma = [0.02, 0.02, 0.02, *(0.04,) * 3, *(1e-4,) * 3, 0.1, 1e-3, 0.02, 0.03, 0.03, 0.05]
     begun, block = Gaussian(np.zeros(SIZE), np.diag(np.square(sigma))), AngleBlock(STEP_US, moved_deg, 0.002, -55.0)
     learned = YAWED._replace(learned=LearnedFeed((0.0,) * 3, tuple(map(tuple, np.diag([4e-4, 9e-4, 9e-4]).tolist()))))
-    watch, gaussian, _ = push_block(SensorWatch(0), begun, FIRST, block, STEP_US, learned)
-    assert advice((watch, gaussian)) == ["polarimeter_moved"] * is_reported
+    watch, gaussian = taken(initial_sensors(1, 0)[1:], begun, block, learned)
+    assert advice((watch, gaussian)) == ["moved"] * is_reported
     assert bool(gaussian.mean[FIRST] > 0.9 * moved_deg) is is_free
     # what was learned of the wave was learned of another feed
     assert bool(gaussian.covariance[FIRST + 1, FIRST + 1] > 0.05**2) is is_free
     # without a calibration of the feed nothing of the kind is asked
-    free = push_block(SensorWatch(0), begun, FIRST, block, STEP_US, YAWED)[1]
+    free = taken(initial_sensors(1, 0)[1:], begun, block, YAWED)[1]
     assert free.mean[FIRST] < 0.5 * moved_deg

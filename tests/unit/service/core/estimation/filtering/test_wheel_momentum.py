@@ -2,29 +2,33 @@
 
 import numpy as np
 import pytest
-from wheel_filter import FIRST, MINUTE_US, SETTINGS, SIZE, WHEELS, H, state
+from wheel_filter import FIRST, MINUTE_US, SETTINGS, SIZE, H, state
 
-from service.core.estimation.filtering.filter_model import FilterSettings, Gaussian, MomentumModel
-from service.core.estimation.filtering.motion_sensor import SensorWatch
+from service.core.estimation.filtering.filter_model import FilterSettings, Gaussian, MomentumModel, no_carriers
+from service.core.estimation.filtering.filter_state import initial_sensors
+from service.core.estimation.filtering.motion_sensor import sensor_advice
 from service.core.estimation.filtering.plant import (
     TORQUES,
+    filter_model,
     gathered_prior_deg_h2,
     momentum_count,
     torque_prior_deg_h2,
 )
 from service.core.estimation.filtering.state_changes import inserted
 from service.core.estimation.filtering.wheel_momentum import (
-    compared,
-    momentum_advice,
+    WheelRecord,
+    compare_momentum,
     momentum_covariance,
     moved_momentum,
-    push_record,
-    with_impossible,
+    push_momentum,
+    refuse_impossible,
 )
+
+MODEL = filter_model(no_carriers(), SETTINGS)
 
 
 def expected(mean, after_h):
-    return -compared(Gaussian(mean, np.eye(SIZE)), FIRST, np.zeros(3), after_h, SETTINGS, WHEELS).innovation
+    return -compare_momentum(MODEL, mean, np.eye(SIZE), FIRST, np.zeros(3), after_h).innovation
 
 
 #: a torque that pushes the body, and another of unknown profile that gathers in the wheels
@@ -40,7 +44,7 @@ def with_own_torque():
 @pytest.mark.parametrize("after_h", [0.0, -0.1])
 def test_the_measurement_is_linearised_as_it_is(after_h):
     mean, step = state(0.2).mean, 1e-6
-    found = compared(Gaussian(mean, np.eye(SIZE)), FIRST, np.zeros(3), after_h, SETTINGS, WHEELS)
+    found = compare_momentum(MODEL, mean, np.eye(SIZE), FIRST, np.zeros(3), after_h)
     for place in range(SIZE):
         moved = mean.copy()
         moved[place] += step
@@ -82,18 +86,34 @@ def test_states_of_a_torque_of_its_own_exist_where_another_pushes_the_body():
     assert gathered_prior_deg_h2(SETTINGS).tolist() == [0.0] * 9
 
 
-def fed(watch, gaussian, minute, value, **flags):
-    epoch_us = minute * MINUTE_US
-    is_unloading = bool(flags.get("is_unloading"))
-    pushed = push_record(watch, gaussian, FIRST, epoch_us, value, epoch_us, SETTINGS, WHEELS, is_unloading=is_unloading)
-    return pushed[:2]
-
-
-def records(values, **flags):
-    watch, gaussian = SensorWatch(), state()
-    for number, value in enumerate(values):
-        watch, gaussian = fed(watch, gaussian, number, value, **flags)
+def fed(watch, gaussian, minute, value, *, is_unloading=False):
+    """Return watch and state after a record of a minute, those given as they were."""
+    epoch_us, watch, gaussian = minute * MINUTE_US, watch.copy(), Gaussian(*(each.copy() for each in gaussian))
+    record = WheelRecord(epoch_us, np.asarray(value), is_unloading)
+    push_momentum(MODEL, watch[0], *gaussian, FIRST, record, epoch_us, np.zeros((0, 0)))
     return watch, gaussian
+
+
+def records(values):
+    watch, gaussian = initial_sensors(0, 0), state()
+    for number, value in enumerate(values):
+        watch, gaussian = fed(watch, gaussian, number, value)
+    return watch, gaussian
+
+
+def is_same(after, before):
+    """Return whether watch and state are as before, bit for bit."""
+    (watch, gaussian), (former, kept) = after, before
+    return repr(watch) == repr(former) and all(map(np.array_equal, gaussian, kept))
+
+
+def advice(watch, epoch_us, since_us=0):
+    """Return which of refused, jumped and silent is told."""
+    return [
+        name
+        for name, told in zip(("refused", "jump", "silent"), sensor_advice(watch, since_us, epoch_us), strict=True)
+        if told
+    ]
 
 
 def noisy_records(count, seed=1):
@@ -105,60 +125,54 @@ def test_one_wild_record_is_left_out_and_two_are_a_jump():
     watch, gaussian = records([*quiet, H + 1.0])
     before, known = records(quiet)
     np.testing.assert_array_equal(gaussian.mean, known.mean)
-    assert (watch.skipped, before.skipped) == (1, 0)
-    assert not watch.has_jumped(11 * MINUTE_US)
+    assert (watch["skipped"][0], before["skipped"][0]) == (1, 0)
+    assert advice(watch, 11 * MINUTE_US) == []
     watch, gaussian = records([*quiet, H + 1.0, H + 1.001])
-    assert watch.has_jumped(12 * MINUTE_US)
-    assert not watch.is_refused
+    assert advice(watch, 12 * MINUTE_US) == ["jump"]
     np.testing.assert_allclose(gaussian.mean[FIRST : FIRST + 3], H + 1.0, atol=0.1)
 
 
 def test_a_marked_unloading_is_no_jump():
     watch, gaussian = records(noisy_records(10))
     watch, gaussian = fed(watch, gaussian, 10, H + 1.0, is_unloading=True)
-    assert not watch.has_jumped(10 * MINUTE_US)
+    assert advice(watch, 10 * MINUTE_US) == []
     np.testing.assert_allclose(gaussian.mean[FIRST : FIRST + 3], H + 1.0, atol=0.1)
 
 
 def test_repeated_and_earlier_records_tell_nothing():
     watch, gaussian = records(noisy_records(5))
-    for minute, value in ((5, watch.newest_n_m_s), (3, H + 0.5)):
-        after, unchanged = fed(watch, gaussian, minute, value)
-        assert after is watch
-        assert unchanged is gaussian
+    for minute, value in ((5, watch["newest_n_m_s"][0]), (3, H + 0.5)):
+        assert is_same(fed(watch, gaussian, minute, value), (watch, gaussian))
 
 
 def test_telemetry_that_keeps_jumping_is_refused_and_yaw_is_known_less():
     watch, gaussian = records([H + (number // 2 % 2) for number in range(20)])
-    assert watch.is_refused
+    assert watch["is_refused"][0]
     assert gaussian.covariance[0, 0] > 0.2**2
-    after, unchanged = fed(watch, gaussian, 30, H)
-    assert after is watch
-    assert unchanged is gaussian
+    assert is_same(fed(watch, gaussian, 30, H), (watch, gaussian))
 
 
 def test_an_outlier_of_true_noise_among_the_first_records_refuses_nothing():
     # sigmas along roll as a closed loop drew them, whose true telemetry was refused; the last one was 3.9
     drawn = (-2.45, -1.57, 0.67, -0.29, 1.07, 5.3)
     watch, _ = records([H + 0.01 * np.array([sigmas, 0.5, -0.5]) for sigmas in drawn])
-    assert watch.skipped == 1
-    assert not watch.is_refused
+    assert watch["skipped"][0] == 1
+    assert not watch["is_refused"][0]
 
 
 def test_telemetry_that_begins_with_what_no_wheel_holds_is_refused():
-    assert with_impossible(SensorWatch()).is_refused
+    watch = initial_sensors(0, 0)
+    refuse_impossible(watch[0])
+    assert watch["is_refused"][0]
+    # and is not silent as well
+    assert advice(watch, 1000 * MINUTE_US) == ["refused"]
     watch, _ = records(noisy_records(5))
-    assert with_impossible(watch) is watch
+    refuse_impossible(watch[0])
+    assert not watch["is_refused"][0]
 
 
 @pytest.mark.parametrize(("count", "silent_after_minutes"), [(0, 180), (5, 184)])
 def test_three_hours_without_a_new_record_are_reported(count, silent_after_minutes):
-    watch, _ = records(noisy_records(count)) if count else (SensorWatch(), None)
+    watch, _ = records(noisy_records(count))
     for minutes, is_reported in ((silent_after_minutes, False), (silent_after_minutes + 1, True)):
-        assert momentum_advice(watch, 0, minutes * MINUTE_US, is_used=True)["momentum_silent"] is is_reported
-        assert not momentum_advice(watch, 0, minutes * MINUTE_US, is_used=False)["momentum_silent"]
-
-
-def test_refused_telemetry_is_not_silent_as_well():
-    advice = momentum_advice(with_impossible(SensorWatch()), 0, 1000 * MINUTE_US, is_used=True)
-    assert advice == {"momentum_refused": True, "momentum_jump": False, "momentum_silent": False}
+        assert advice(watch, minutes * MINUTE_US) == ["silent"] * is_reported

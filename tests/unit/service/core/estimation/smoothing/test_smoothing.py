@@ -5,9 +5,10 @@ from typing import NamedTuple
 import filter_models
 import numpy as np
 import pytest
-from filter_rows import step
+from filter_rows import after_records, records_of, step
 from wheel_filter import WHEELS, H
 
+from service.core.estimation.filtering import row_block
 from service.core.estimation.filtering.filter_model import (
     ATTITUDE,
     FREE_REFERENCE_DB2,
@@ -18,14 +19,13 @@ from service.core.estimation.filtering.filter_model import (
     no_motion,
 )
 from service.core.estimation.filtering.filter_state import start
-from service.core.estimation.filtering.motion_sensor import SensorEffect, SensorWatch
-from service.core.estimation.filtering.plant import filter_model, momentum_count
-from service.core.estimation.filtering.polarimeter import AngleBlock, push_block
-from service.core.estimation.filtering.state_changes import sensors_first, with_torque
-from service.core.estimation.filtering.wheel_momentum import FREE_N_M_S, push_record
+from service.core.estimation.filtering.plant import filter_model
+from service.core.estimation.filtering.state_changes import with_torque
+from service.core.estimation.filtering.wheel_momentum import FREE_N_M_S
 from service.core.estimation.smoothing.effective_row import (
     EffectiveRow,
     LinearStep,
+    WhitenedRow,
     before_resize,
     before_row,
     before_start,
@@ -36,7 +36,6 @@ from service.core.estimation.smoothing.effective_row import (
     smoothed_rows,
     smoothed_state,
     state_origin,
-    whitened_row,
 )
 
 STATES, ROWS, SEED = 6, 25, 20261124
@@ -72,7 +71,8 @@ class Filter:
         mean, covariance = self.states[-1]
         cross = jacobian @ covariance
         spread = cross @ jacobian.T + np.diag(white)
-        row = whitened_row(jacobian, values - jacobian @ mean, spread, cross)
+        whiten = np.linalg.inv(np.linalg.cholesky(spread))
+        row = WhitenedRow(whiten @ jacobian, whiten @ cross, whiten @ (values - jacobian @ mean))
         self.states[-1] = mean + row.residual @ row.cross, covariance - row.cross.T @ row.cross
         self.rows.append(row)
         self.measured.append((len(self.means) - 1, jacobian, white, values))
@@ -251,10 +251,10 @@ SENSED = FilterSettings(momentum=WHEELS, polarimeters=(PolarimeterModel((0.99, -
 
 
 class Taken(NamedTuple):
-    """Row with the state before its records, the effect of each with the state after it, and the state in the end."""
+    """Row with the state before its records, that after each of them, and the state in the end."""
 
     began: Gaussian
-    records: list[tuple[SensorEffect, Gaussian]]
+    records: list[Gaussian]
     after: Gaussian
     row: EffectiveRow
 
@@ -269,34 +269,28 @@ def sensed_rows(sensed_model):
     """Return rows of a still spacecraft with an unloading of its wheels on the way."""
     rng, compiled = np.random.default_rng(20261126), filter_model(sensed_model, SENSED)
     gaussian = with_torque(sensed_model, filter_models.aligned(sensed_model), SENSED)
-    first = sensors_first(sensed_model, len(gaussian.mean), SENSED)
-    state, wheels, port, taken = start(sensed_model, 0, gaussian), SensorWatch(), SensorWatch(0), []
+    state, taken = start(sensed_model, 0, gaussian, 1), []
     for number in range(SENSED_ROWS):
-        gaussian, at_us = state.gaussian, state.epoch_us
-        records = []
+        at_us, values = state.epoch_us, []
         if number % 3 == 0 and number:
             unloaded = np.array([0.4, 0.0, -0.2]) if number >= UNLOADED else np.zeros(3)
-            value = H + unloaded + rng.normal(0.0, 0.01, 3)
-            is_unloading = number == UNLOADED
-            wheels, gaussian, effect = push_record(
-                wheels, gaussian, first, at_us - 20_000_000, value, at_us, SENSED, WHEELS, is_unloading=is_unloading
-            )
-            records.append((effect, gaussian))
+            momentum = H + unloaded + rng.normal(0.0, 0.01, 3)
+            told = {"epoch_us": at_us - 20_000_000, "momentum_n_m_s": momentum, "is_unloading": number == UNLOADED}
+            values.append({"kind": row_block.WHEELS, **told})
         if number % 2 == 0:
-            block = AngleBlock(at_us, 0.3 + rng.normal(0.0, 0.05), 0.05**2, -55.0)
-            place = first + momentum_count(SENSED)
-            port, gaussian, effect = push_block(port, gaussian, place, block, at_us, SENSED.polarimeters[0])
-            records.append((effect, gaussian))
-        sensed = state.with_gaussian(gaussian)
+            angle_deg = 0.3 + rng.normal(0.0, 0.05)
+            told = {"epoch_us": at_us, "angle_deg": angle_deg, "variance_deg2": 0.05**2, "co_power_dbm": -55.0}
+            values.append({"kind": row_block.ANGLE, **told})
+        records, to_us = records_of(*values), at_us + MINUTE_US
+        moved = [after_records(compiled, state, records[: k + 1], to_us).gaussian for k in range(len(records))]
         level_db = sensed_model.white_sigma_db * rng.standard_normal(SENSED_CARRIERS)
-        found = step(compiled, sensed, at_us + MINUTE_US, level_db, no_motion())
+        found = step(compiled, state, to_us, level_db, no_motion(), records=records)
         origin = np.arange(len(gaussian.mean)) if taken else None
-        effects = [effect for effect, _ in records]
-        row = effective_row(sensed_model, SENSED, sensed, found.state, found.row, found.trace, origin, effects)
-        taken.append(Taken(state.gaussian, records, found.state.gaussian, row))
+        row = effective_row(sensed_model, SENSED, state, found.state, found.row, found.trace, origin)
+        taken.append(Taken(state.gaussian, moved, found.state.gaussian, row))
         state = found.state
-    assert not wheels.jumps
-    assert not wheels.is_refused
+    assert not state.sensors["jumps"].any()
+    assert not state.sensors["is_refused"].any()
     return taken
 
 
@@ -356,7 +350,7 @@ def dense_solution(taken):
     span, states, restarts = Dense(taken[0].began), [], 0
     for began, records, after, row in taken:
         filtered = began
-        for (_, moved), record in zip(records, row.sensed, strict=True):
+        for moved, record in zip(records, row.sensed, strict=True):
             found = moved if record.update is None else before_update(moved, record.update)
             if len(record.restarted):
                 span.restart(record.restarted, found.mean[record.restarted], FREE_N_M_S)

@@ -78,9 +78,9 @@ def bench(payload):
 
 def test_no_model_without_calibration_ephemeris_or_alignment(bench):
     aligned_with = bench.documents.calibration(1)
-    assert paper_model(replace(bench.knowledge, active={}), bench.plan, aligned_with, CONFIG) is None
-    assert paper_model(replace(bench.knowledge, ephemeris=None), bench.plan, aligned_with, CONFIG) is None
-    assert paper_model(replace(bench.knowledge, alignment=None), bench.plan, aligned_with, CONFIG) is None
+    assert paper_model(bench.knowledge._replace(active={}), bench.plan, aligned_with, CONFIG) is None
+    assert paper_model(bench.knowledge._replace(ephemeris=None), bench.plan, aligned_with, CONFIG) is None
+    assert paper_model(bench.knowledge._replace(alignment=None), bench.plan, aligned_with, CONFIG) is None
 
 
 def test_the_method_settles_and_then_tells_the_exact_attitude(bench):

@@ -255,7 +255,7 @@ def test_the_state_is_carried_over_by_signal():
     payload = PAYLOAD.permuted(order)
     cities = ("Magadan" if name == "c09" else city for name, city in zip(payload.ids, payload.cities, strict=True))
     payload = replace(payload, cities=tuple(cities))
-    knowledge = replace(old.knowledge, active={CalibrationMethod.GEOMETRY: payload.calibration(2)})
+    knowledge = old.knowledge._replace(active={CalibrationMethod.GEOMETRY: payload.calibration(2)})
     new = robust_model(knowledge, PAYLOAD.calibration(), CONFIG)
     carried = carried_state(old.state, old.model, new)
     mean, before = carried.filter.mean, old.state.filter.mean

@@ -6,10 +6,11 @@ from types import SimpleNamespace
 import filter_models
 import numpy as np
 import pytest
-from filter_rows import step
+from filter_rows import after_records, step
 from geometry_flight import MINUTE
 from stepped_robust import ALIGNED_US, PAYLOAD, Stepped
 
+from service.core.estimation.filtering.due_records import moving_model
 from service.core.estimation.filtering.filter_model import ATTITUDE, RATE, FilterSettings, core_size, no_motion
 from service.core.estimation.filtering.filter_state import start
 from service.core.estimation.filtering.plant import filter_model
@@ -17,7 +18,7 @@ from service.core.estimation.filtering.readings import frozen_readings, no_readi
 from service.core.estimation.filtering.state_changes import sensors_first, with_share
 from service.pipeline.estimation.robust.method import carried_state
 from service.pipeline.estimation.robust.row_recorder import RowRecorder
-from service.pipeline.estimation.robust.sensor_records import with_momenta, with_polarization, with_rates
+from service.pipeline.estimation.robust.sensor_records import due_records
 from service.records.calibration import GatheredTorque
 from service.records.catalogue import BodyRateSensor, Polarimeter, WheelMomentum
 from service.records.inputs import PolarizationRecord, TelemetryRecord
@@ -110,6 +111,17 @@ def test_memory_is_bounded(model):
 RATE_DEG_S = Axes(yaw=1e-5, roll=-5e-6, pitch=-15.0411 / 3600.0 + 2e-6)
 
 
+def sensed(flight, state=None, knowledge=None):
+    """Return the state before a row a minute after the alignment, and the records that were due."""
+    state, to_us = state or flight.state, ALIGNED_US + MINUTE
+    records = due_records(state.filter, flight.model, knowledge or flight.knowledge, to_us)
+    return replace(state, filter=after_records(flight.model.arrays, state.filter, records, to_us)), records
+
+
+def same_numbers(one, other):
+    return np.array_equal(one.mean, other.mean) and np.array_equal(one.covariance, other.covariance)
+
+
 def stepped(sensor, minutes):
     """Return a model whose sensor has told its rate at some minutes."""
     spacecraft = PAYLOAD.spacecraft()
@@ -130,26 +142,27 @@ def advice(flight):
 
 def test_a_step_with_a_record_is_moved_by_its_rate_without_the_turn_of_the_orbit():
     flight = stepped(BESIDE, (0.5, 1.0))
-    state, model = with_rates(flight.state, flight.model, flight.knowledge, ALIGNED_US + MINUTE)
-    assert state.rates.is_measured
+    state, _ = sensed(flight)
+    assert state.filter.rates["is_measured"][0]
     np.testing.assert_allclose(state.filter.mean[RATE], [0.036, -0.018, 0.0072], atol=1e-3)
-    assert model.settings.drift_deg_h == (0.01, 0.01, 0.01)
+    moving = moving_model(flight.model.arrays, state.filter)
+    assert moving.plant["drift_deg_h"].tolist() == [[0.01, 0.01, 0.01]]
     assert advice(flight) == []
 
 
 def test_records_behind_the_step_later_ones_and_none_leave_it_to_the_inertial_model():
     for minutes in ((), (-11.0,), (2.0,)):
         flight = stepped(BESIDE, minutes)
-        state, model = with_rates(flight.state, flight.model, flight.knowledge, ALIGNED_US + MINUTE)
-        assert not state.rates.is_measured
-        assert model is flight.model
-        assert state.filter is flight.state.filter
+        state, records = sensed(flight)
+        assert not len(records)
+        assert not state.filter.rates["is_measured"][0]
+        assert moving_model(flight.model.arrays, state.filter) is flight.model.arrays
+        assert same_numbers(state.filter, flight.state.filter)
 
 
 def test_rates_of_the_loop_are_left_out_with_words():
     flight = stepped(BodyRateSensor(in_loop=True), (0.5, 1.0))
-    state, _ = with_rates(flight.state, flight.model, flight.knowledge, ALIGNED_US + MINUTE)
-    assert state is flight.state
+    assert not len(sensed(flight)[1])
     assert advice(flight) == ["rates_in_loop"]
 
 
@@ -179,18 +192,21 @@ def test_a_first_record_that_cannot_be_that_of_the_spacecraft_refuses_the_teleme
     pitch_n_m_s, bias_n_m_s, is_refused
 ):
     before = flight(pitch_n_m_s, bias_n_m_s)
-    after, _ = with_momenta(before.state, before.model, before.knowledge)
-    assert after.momentum.is_refused == is_refused
+    after, _ = sensed(before)
+    assert after.filter.sensors["is_refused"][0] == is_refused
     # telemetry that is refused moves no state
-    assert (after.filter.mean is before.state.filter.mean) == is_refused
+    assert same_numbers(after.filter, before.state.filter) == is_refused
 
 
 def test_a_later_one_is_left_out_alone():
     good, wild = flight(-8.0, -8.0), flight(-1.0, -8.0)
-    state, _ = with_momenta(good.state, good.model, good.knowledge)
-    after, _ = with_momenta(state, wild.model, wild.knowledge)
-    assert not after.momentum.is_refused
-    assert after.filter is state.filter
+    state, _ = sensed(good)
+    later = replace(state, filter=state.filter.with_watch(epoch_us=ALIGNED_US + MINUTE))
+    record = replace(wild.knowledge.momenta[0], epoch_us=ALIGNED_US + MINUTE)
+    after, records = sensed(wild, later, wild.knowledge._replace(momenta=(record,)))
+    assert records["is_impossible"].tolist() == [True]
+    assert not after.filter.sensors["is_refused"][0]
+    assert same_numbers(after.filter, state.filter)
 
 
 def test_every_record_of_a_batch_is_used_once_in_its_order():
@@ -207,27 +223,26 @@ def test_every_record_of_a_batch_is_used_once_in_its_order():
         for minute in minutes
     )
     at_once = Stepped(spacecraft=spacecraft, momenta=batch)
-    none_yet, effects = with_momenta(at_once.state, at_once.model, replace(at_once.knowledge, momenta=batch[:1]))
-    assert (none_yet, effects) == (at_once.state, []), "older than 15 min"
+    assert not len(sensed(at_once, knowledge=at_once.knowledge._replace(momenta=batch[:1]))[1]), "older than 15 min"
     # one of before the alignment serves while none follows
-    one_by_one, effects = with_momenta(at_once.state, at_once.model, replace(at_once.knowledge, momenta=batch[:4]))
-    assert (len(effects), one_by_one.momentum.newest_us) == (1, batch[3].epoch_us)
-    first, effects = with_momenta(at_once.state, at_once.model, at_once.knowledge)
-    assert (len(effects), first.momentum.newest_us) == (1, ALIGNED_US)
+    _, records = sensed(at_once, knowledge=at_once.knowledge._replace(momenta=batch[:4]))
+    assert records["epoch_us"].tolist() == [batch[3].epoch_us]
+    first, records = sensed(at_once)
+    assert (len(records), first.filter.sensors["newest_us"][0]) == (1, ALIGNED_US)
     alignment = replace(at_once.knowledge.alignment, epoch_us=ALIGNED_US - 60 * MINUTE)
-    at_once.knowledge = replace(at_once.knowledge, alignment=alignment)
-    state, effects = with_momenta(at_once.state, at_once.model, at_once.knowledge)
-    assert [effect.update is not None for effect in effects] == [True] * 4
-    assert state.momentum.newest_us == ALIGNED_US
+    at_once.knowledge = at_once.knowledge._replace(alignment=alignment)
+    state, records = sensed(at_once)
+    assert records["epoch_us"].tolist() == [each.epoch_us for each in batch[1:5]]
+    assert (state.filter.sensors["newest_us"][0], state.filter.sensors["skipped"][0]) == (ALIGNED_US, 0)
     one_by_one = at_once.state
     for record in batch[1:5]:
-        one_by_one, _ = with_momenta(one_by_one, at_once.model, replace(at_once.knowledge, momenta=(record,)))
+        one_by_one, _ = sensed(at_once, one_by_one, at_once.knowledge._replace(momenta=(record,)))
     np.testing.assert_array_equal(state.filter.covariance, one_by_one.filter.covariance)
     begin = sensors_first(at_once.model.filter, len(state.filter.mean), at_once.model.settings)
     own = slice(begin, begin + 3)
     sigmas = [np.sqrt(each.filter.covariance.diagonal()[own]) for each in (state, first)]
     assert (sigmas[0] < 0.75 * sigmas[1]).all()
-    assert with_momenta(state, at_once.model, at_once.knowledge) == (state, [])
+    assert not len(sensed(at_once, state)[1])
 
 
 def learned(number, factor):
@@ -265,19 +280,19 @@ def read(angles_deg, *, is_used=True):
     state, records = flight.state, []
     for minute, angle_deg in angles_deg.items():
         records.append(PolarizationRecord("p", ALIGNED_US + minute * MINUTE, angle_deg=angle_deg, sigma_deg=0.01))
-        knowledge = replace(flight.knowledge, polarization={"p": tuple(records)})
+        knowledge = flight.knowledge._replace(polarization={"p": tuple(records)})
         state = replace(state, filter=state.filter.with_watch(epoch_us=ALIGNED_US + minute * MINUTE))
-        state, _ = with_polarization(state, flight.model, knowledge)
+        state, _ = sensed(flight, state, knowledge)
     return flight.state, state
 
 
 def test_the_first_angle_sets_the_offset_and_a_change_after_it_counts_as_yaw():
     before, first = read({5: 1.7})
     yaw, sigma = ATTITUDE.start, np.sqrt(before.filter.covariance[0, 0])
-    assert first.polarimeters[0].newest_us == ALIGNED_US + 5 * MINUTE
+    assert first.filter.sensors["newest_us"][1] == ALIGNED_US + 5 * MINUTE
     assert first.filter.mean[yaw] == pytest.approx(before.filter.mean[yaw], abs=0.05 * sigma)
     _, second = read({5: 1.7, 10: 1.74})
-    assert second.polarimeters[0].records > 1.9
+    assert second.filter.sensors["records"][1] > 1.9
     assert second.filter.mean[yaw] > first.filter.mean[yaw]
 
 
@@ -286,8 +301,8 @@ def test_an_angle_that_is_not_due_and_a_polarimeter_that_is_not_used_change_noth
     _, one = read({5: 1.7})
     np.testing.assert_array_equal(two.filter.mean, one.filter.mean)
     before, unused = read({5: 1.7}, is_used=False)
-    assert unused.polarimeters == ()
-    assert unused.filter.mean is before.filter.mean
+    assert len(unused.filter.sensors) == 1
+    assert same_numbers(unused.filter, before.filter)
 
 
 def frozen_after(rows_dbm, period_us=MINUTE_US):

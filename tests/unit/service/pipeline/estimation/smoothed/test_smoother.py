@@ -206,7 +206,7 @@ def recorded():
         angles.append(PolarizationRecord("p", at_us, angle_deg=1.0 + rng.normal(0.0, 0.05), sigma_deg=0.05))
         noise = rng.normal(0.0, 1e-6, 3)
         rates.append(TelemetryRecord(at_us, body_rate_deg_s=Axes(*(np.array([*STILL]) + noise).tolist())))
-        heard = replace(flight.knowledge, momenta=(telemetry,), polarization={"p": tuple(angles)}, rates=tuple(rates))
+        heard = flight.knowledge._replace(momenta=(telemetry,), polarization={"p": tuple(angles)}, rates=tuple(rates))
         measurement = PAYLOAD.measurement(at_us, np.zeros(3))
         power_dbm = measurement.power_dbm + rng.normal(0.0, 0.05, len(measurement.power_dbm))
         for recorder in (whole, joined) if minute >= JOINED else (whole,):
@@ -222,9 +222,9 @@ def recorded():
             )
         state = outcome.state
         sigma_deg.append(state.filter.gaussian.attitude_sigma_deg)
-    assert not state.momentum.is_refused
-    assert state.rates.is_measured
-    assert state.polarimeters[0].records > 0.0
+    assert not state.filter.sensors["is_refused"].any()
+    assert state.filter.rates["is_measured"][0]
+    assert (state.filter.sensors["records"] > 0.0).all()
     return whole.rows, joined.rows, np.array(sigma_deg)
 
 
