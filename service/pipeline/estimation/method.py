@@ -132,9 +132,10 @@ class CarrierColumns(NamedTuple):
         return cls(positions, bool((positions >= 0).all()))
 
     def of(self, values: NDArray[Any], absent: float) -> NDArray[Any]:
-        """Return the value of each carrier; those that are not among the others have `absent`."""
-        # the last position stands for them
-        return values[self.positions] if self.is_complete else np.append(values, absent)[self.positions]
+        """Return the values (..., N) of the carriers; those that are not among the others have `absent`."""
+        if self.is_complete:
+            return values[..., self.positions]
+        return np.where(self.positions < 0, absent, values[..., self.positions])
 
 
 class CalibratedColumns:
@@ -199,25 +200,26 @@ def carrier_results(
     rows: Sequence[MethodRow], measurements: Sequence[Measurement], plan: CarrierPlan
 ) -> list[CarrierResults | None]:
     """Return what a method makes of the carriers at rows in time of one plan; None where it failed."""
-    results: list[CarrierResults | None] = []
-    columns: CarrierColumns | None = None
-    calibrated: tuple[str, ...] = ()
-    for (row, levels, *_), measurement in zip(rows, measurements, strict=True):
-        if levels is None:
-            results.append(None)
-            continue
-        if columns is None or levels.carrier_ids is not calibrated:
-            calibrated = levels.carrier_ids
-            columns = _columns(plan.carrier_ids, calibrated)
-        states = np.where(levels.is_used, _USED, _UNSELECTED)
-        for exclusion in row.excluded:
+    results: list[CarrierResults | None] = [None] * len(rows)
+    levels = {number: row.levels for number, row in enumerate(rows) if row.levels is not None}
+    if not levels:
+        return results
+    calibrated = next(iter(levels.values())).carrier_ids
+    columns = _columns(plan.carrier_ids, calibrated)
+    states = np.where([each.is_used for each in levels.values()], _USED, _UNSELECTED)
+    for place, number in enumerate(levels):
+        for exclusion in rows[number].row.excluded:
             # the levels need not know it
             if exclusion.carrier in calibrated:
-                states[calibrated.index(exclusion.carrier)] = _EXCLUDED
-        state = columns.of(states, _UNCALIBRATED)
-        state[np.isnan(measurement.power_dbm)] = _ABSENT
-        deviation_db, residual_db = columns.of(levels.deviation_db, np.nan), columns.of(levels.residual_db, np.nan)
-        results.append(CarrierResults(plan.id, deviation_db, residual_db, state, columns.of(levels.hypothesis, 0)))
+                states[place, calibrated.index(exclusion.carrier)] = _EXCLUDED
+    state = columns.of(states, _UNCALIBRATED)
+    state[np.isnan([measurements[number].power_dbm for number in levels])] = _ABSENT
+    deviation_db = columns.of(np.array([each.deviation_db for each in levels.values()]), np.nan)
+    residual_db = columns.of(np.array([each.residual_db for each in levels.values()]), np.nan)
+    hypothesis = columns.of(np.array([each.hypothesis for each in levels.values()]), 0)
+    figures = zip(deviation_db, residual_db, state, hypothesis, strict=True)
+    for number, each in zip(levels, figures, strict=True):
+        results[number] = CarrierResults(plan.id, *each)
     return results
 
 
