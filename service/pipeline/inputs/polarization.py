@@ -133,7 +133,7 @@ def orbit_turn_deg(
 
 
 class OrbitTurn:
-    """What the orbit turns a body about a line of sight, quickly: cubics through knots of five minutes.
+    """Turn of the orbit about a line of sight, quickly: cubics through knots of five minutes.
 
     Within 1e-6 deg of `orbit_turn_deg`, by the corners between the cubics of the track; its own value near the ends.
 

@@ -41,8 +41,10 @@ def take_records(model: FilterModel, state: FilterState, block: RowBlock, number
         elif record["is_impossible"]:
             refuse_impossible(state.sensors[0])
         else:
-            told = WheelRecord(record["epoch_us"], record["momentum_n_m_s"], record["is_unloading"])
-            begins = push_momentum(model, state.sensors[0], state.mean, state.covariance, first, told, epoch_us, sensed)
+            telemetry = WheelRecord(record["epoch_us"], record["momentum_n_m_s"], record["is_unloading"])
+            begins = push_momentum(
+                model, state.sensors[0], state.mean, state.covariance, first, telemetry, epoch_us, sensed
+            )
             if begins and len(trace.sensed):
                 trace.is_restarted[place, first : first + 3] = True
     if len(model.plant) > 1:

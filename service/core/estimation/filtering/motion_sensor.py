@@ -30,7 +30,7 @@ SILENT_US = 3 * 3_600_000_000
 _US_PER_H = 3.6e9
 
 
-class Comparison(NamedTuple):
+class SensorInnovation(NamedTuple):
     """Measurements n of a sensor compared with a state of D numbers."""
 
     #: (n, D) H and (n,) in the unit of the sensor
@@ -41,7 +41,7 @@ class Comparison(NamedTuple):
     cross: FloatArray
 
 
-def greatest_excess(compared: Comparison) -> float:
+def greatest_excess(compared: SensorInnovation) -> float:
     """Return the size of the largest innovation, sigmas."""
     excess = 0.0
     for row in range(len(compared.innovation)):
@@ -49,7 +49,7 @@ def greatest_excess(compared: Comparison) -> float:
     return excess
 
 
-def mean_square(compared: Comparison) -> float:
+def mean_square(compared: SensorInnovation) -> float:
     """Return the normalised square of the innovations, a degree of freedom."""
     lower, total = lower_triangle(compared.covariance, 0.0), 0.0
     whitened = compared.innovation.copy()
@@ -74,7 +74,7 @@ def lower_triangle(covariance: FloatArray, variance: float) -> FloatArray:
 
 
 def use_record(
-    mean: FloatArray, covariance: FloatArray, compared: Comparison, variance: float, sensed: FloatArray
+    mean: FloatArray, covariance: FloatArray, compared: SensorInnovation, variance: float, sensed: FloatArray
 ) -> None:
     """Take measurements into mean (D,) and covariance (D, D), the noise of each greater by a variance.
 

@@ -26,7 +26,7 @@ from service.core.estimation.filtering.filter_state import NEVER_US
 from service.core.estimation.filtering.motion_sensor import (
     GATE,
     TRUSTED,
-    Comparison,
+    SensorInnovation,
     begin_record,
     count_jump,
     greatest_excess,
@@ -135,7 +135,7 @@ def compare_angle(
     block: AngleBlock,
     variance_deg2: float,
     epoch_us: int,
-) -> Comparison:
+) -> SensorInnovation:
     """Return a block against a state of a not earlier epoch, whose offset stands at `first`.
 
     Its noise is greater by a variance; the phase of the daily wave is that of the state.
@@ -149,7 +149,7 @@ def compare_angle(
     jacobian[0, first + 1], jacobian[0, first + 2] = math.cos(phase), math.sin(phase)
     innovation_deg = block.angle_deg - jacobian @ mean
     cross = jacobian @ covariance
-    return Comparison(jacobian, innovation_deg, cross @ jacobian.T + (block.variance_deg2 + variance_deg2), cross)
+    return SensorInnovation(jacobian, innovation_deg, cross @ jacobian.T + (block.variance_deg2 + variance_deg2), cross)
 
 
 def push_angle(

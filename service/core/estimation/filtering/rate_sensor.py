@@ -82,7 +82,7 @@ def push_rates(model: FilterModel, state: FilterState, block: RowBlock, number: 
                 state.mean, state.covariance, watch["log_drift_scale"], sensor["drift_deg_h"], minutes
             )
         else:
-            _swap(state)
+            _swap_models(state)
             _renew(state, DRIFT.start, np.zeros(3), bias_deg_h)
         state.mean[RATE.start : RATE.stop] = rates["residual_deg_h"] + commanded_deg_h
         row["correction_deg"][:] = 0.0
@@ -95,7 +95,7 @@ def follow_model(state: FilterState) -> None:
     """Let the state go on by the inertial model, in place; its drift is what was measured beside the commanded rate."""
     rates = state.rates[0]
     if rates["is_measured"]:
-        _swap(state)
+        _swap_models(state)
         state.mean[DRIFT.start : DRIFT.stop] += rates["residual_deg_h"]
         _renew(state, RATE.start, rates["commanded_deg_h"], np.full(3, RATE_FLOOR_DEG_H))
 
@@ -105,13 +105,13 @@ def _refuse(state: FilterState, drift_deg_h: FloatArray) -> None:
     rates = state.rates[0]
     rates["is_refused"] = True
     if rates["is_measured"]:
-        _swap(state)
+        _swap_models(state)
         _renew(state, DRIFT.start, np.zeros(3), drift_deg_h)
         _renew(state, RATE.start, rates["commanded_deg_h"], np.full(3, RATE_FLOOR_DEG_H))
         mislead(state.covariance)
 
 
-def _swap(state: FilterState) -> None:
+def _swap_models(state: FilterState) -> None:
     """Let the drift begin to be the bias, or the reverse, in place; evidence begins again."""
     rates, watch = state.rates[0], state.watch[0]
     if not rates["is_measured"]:
@@ -156,8 +156,8 @@ def _judge(
         is_wild, is_repeated = False, True
         for axis in range(3):
             drift_deg_h = _DRIFTS * math.hypot(inertial_deg_h[axis], bias_deg_h[axis]) + abs(commanded_deg_h[axis])
-            beside_deg_h = abs(rate_deg_h[axis] - commanded_deg_h[axis])
-            is_wild = is_wild or beside_deg_h > drift_deg_h + noise_deg_h
+            difference_deg_h = abs(rate_deg_h[axis] - commanded_deg_h[axis])
+            is_wild = is_wild or difference_deg_h > drift_deg_h + noise_deg_h
             is_repeated = is_repeated and rate_deg_h[axis] == former_deg_h[axis]
         if is_wild:
             wild += 1

@@ -33,7 +33,7 @@ from service.core.estimation.filtering.motion import momentum_turn, walked_varia
 from service.core.estimation.filtering.motion_sensor import (
     GATE,
     TRUSTED,
-    Comparison,
+    SensorInnovation,
     begin_record,
     count_jump,
     greatest_excess,
@@ -134,7 +134,7 @@ class WheelRecord(NamedTuple):
 
 def compare_momentum(
     model: FilterModel, mean: FloatArray, covariance: FloatArray, first: int, reported: FloatArray, after_h: float
-) -> Comparison:
+) -> SensorInnovation:
     """Return a record (3,), N m s, of roll, pitch, yaw against a state; `after_h` <= 0 is its age.
 
     The momentum of the state stands at `first`.
@@ -142,7 +142,7 @@ def compare_momentum(
     jacobian, variance = np.zeros((3, len(mean))), model.plant[0]["momentum_sigma_n_m_s"] ** 2
     innovation = reported - _write_expected(jacobian, model, mean, first, after_h)
     cross = jacobian @ covariance
-    return Comparison(jacobian, innovation, cross @ jacobian.T + variance * np.eye(3), cross)
+    return SensorInnovation(jacobian, innovation, cross @ jacobian.T + variance * np.eye(3), cross)
 
 
 def free_momentum(covariance: FloatArray, first: int) -> None:
