@@ -40,13 +40,14 @@ class CompiledEntry:
 
     def _first(self, *args: Any) -> Any:
         # the import costs a quarter of a second: only a program that computes rows pays it
-        from service.core.machine_code import compiled_with
+        from service.core.machine_code import compiled_with, whole_code
 
         compiled, limits = compiled_with(self._run, self._modules), gc.get_threshold()
         # a sixth of the compiler's time: the collector goes over what it builds again and again
         gc.set_threshold(*_FEWER_COLLECTIONS)
         try:
-            result = compiled(*_plain(args))
+            with whole_code():
+                result = compiled(*_plain(args))
         finally:
             gc.set_threshold(*limits)
         if compiled is not self._run:

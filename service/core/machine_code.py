@@ -5,12 +5,14 @@ Imported where something is about to be compiled only: the import of numba takes
 
 import contextlib
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from types import FunctionType, ModuleType
 from typing import Any
 
 from numba import config, njit
 from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.codegen import JITCodeLibrary
+from numba.core.registry import cpu_target
 from numba.extending import register_jitable
 
 # half of the compiler's time, and rows as fast: loops over some carriers gain nothing by vector code or more passes
@@ -46,6 +48,64 @@ class _KeptCode(FunctionCache):
         """Write machine code."""
         with contextlib.suppress(OSError):
             super().save_overload(sig, data)
+
+
+class _WholeCode(JITCodeLibrary):
+    """Code of a function and of all that it calls, optimised once and not anew at each function on the way up.
+
+    Half of the compiler's time. Machine code is made where it is asked for: of the entry, never of what it calls.
+    """
+
+    _is_linked_only = False
+
+    def finalize(self) -> None:
+        """Link what the function calls, as it stands."""
+        for library in dict.fromkeys(self._linking_libraries):
+            self._reload_init.update(library._reload_init)  # noqa: SLF001
+            self._final_module.link_in(library._get_module_for_linking(), preserve=True)  # noqa: SLF001
+        self._finalize_dynamic_globals()
+        self._is_linked_only = self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> int:
+        """Return the address of a function, 0 where the library has none of the name."""
+        self._ensure_finalized()
+        if self._is_linked_only and name not in {each.name for each in self.get_defined_functions()}:
+            return 0
+        self._complete()
+        return int(super().get_pointer_to_function(name))
+
+    def serialize_using_object_code(self) -> Any:
+        """Return name and machine code."""
+        self._ensure_finalized()
+        self._complete()
+        return super().serialize_using_object_code()
+
+    def _complete(self) -> None:
+        """Optimise what is linked, and hand it to the machine."""
+        if self._is_linked_only:
+            self._is_linked_only = self._finalized = False
+            self._optimize_final_module()
+            self._final_module.verify()
+            self._finalize_final_module()
+
+
+@contextlib.contextmanager
+def whole_code() -> Iterator[None]:
+    """Let entries that are compiled meanwhile be optimised as a whole."""
+    codegen = cpu_target.target_context.codegen()
+    # what is only linked has no place yet where its environment could stand
+    codegen.set_env = lambda name, env: _set_env(codegen, name, env)
+    codegen._library_class = _WholeCode  # noqa: SLF001 numba has no name for it
+    try:
+        yield
+    finally:
+        with contextlib.suppress(AttributeError):  # another thread that compiled has done it
+            del codegen.set_env, codegen._library_class  # noqa: SLF001
+
+
+def _set_env(codegen: Any, name: str, env: Any) -> None:
+    if codegen._engine.get_global_value_address(name):  # noqa: SLF001
+        type(codegen).set_env(codegen, name, env)
 
 
 def compiled(function: Callable[..., Any], stamp: str | None = None) -> Any:
