@@ -85,8 +85,8 @@ def advance(
         The state has other shares than there are commands.
     """
     _check_shares(model, state, block)
-    one = FilterState._make(map(np.empty_like, state))
-    buffers = one, FilterState._make(map(np.empty_like, state)) if len(block.rows) > 1 else state
+    one = _like(state)
+    buffers = one, _like(state) if len(block.rows) > 1 else state
     newest = _TAKE_ROWS(model, state, *buffers, block, result, _NO_TRACE if trace is None else trace)
     return (state, *buffers)[newest]
 
@@ -100,3 +100,8 @@ def _check_shares(model: FilterModel, state: FilterState, block: RowBlock) -> No
 
 
 _NO_TRACE = empty_trace(0, 0, 0)
+
+
+def _like(state: FilterState) -> FilterState:
+    """Return arrays of the shapes of a state, their numbers undefined."""
+    return FilterState._make([np.empty_like(each, order="C") for each in state])
