@@ -15,8 +15,6 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.registry import cpu_target
 from numba.extending import register_jitable
 
-# half of the compiler's time, and rows as fast: loops over some carriers gain nothing by vector code or more passes
-_LEVELS = (("LOOP_VECTORIZE", 0), ("SLP_VECTORIZE", 0), ("OPT", 1))
 #: nothing but compiled functions calls the functions of a module
 _INNER = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 #: functions that compiled ones may call
@@ -127,8 +125,6 @@ def compiled_with(run: Callable[..., Any], modules: Sequence[ModuleType]) -> Any
     """
     if config.DISABLE_JIT:  # type: ignore[attr-defined]  # named at the start only
         return run
-    for setting, level in _LEVELS:
-        setattr(config, setting, type(getattr(config, setting))(level))
     for module in modules:
         for part in vars(module).values():
             if isinstance(part, FunctionType) and part.__module__ == module.__name__ and part not in _CALLED:
