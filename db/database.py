@@ -326,6 +326,6 @@ def lock_audit_head(connection: Connection) -> AuditHead:
     query = select(audit_head).with_for_update()
     row = connection.execute(query).first()
     if row is None:
-        insert_new(connection, audit_head, [{"head_key": 1, "number": 0, "hash": GENESIS}])
+        insert_new(connection, audit_head, {"head_key": (1,), "number": (0,), "hash": (GENESIS,)})
         row = connection.execute(query).one()
     return AuditHead(row.number, row.hash)

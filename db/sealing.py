@@ -8,7 +8,7 @@ segment. What was stored meanwhile stays in its table until the next look, which
 import logging
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
-from itertools import pairwise
+from itertools import compress, pairwise
 from typing import Any, NamedTuple, Protocol
 
 from sqlalchemy import Connection, Row, Table, and_, delete, or_, select, true, tuple_
@@ -16,7 +16,7 @@ from sqlalchemy import Connection, Row, Table, and_, delete, or_, select, true, 
 from db.database import Database, lock_head, position_of
 from db.encoding.column_blob import pack_columns
 from db.encoding.segments import DAY_US, RowSeries, SegmentHead, heads
-from db.schema.columns import is_sound
+from db.schema.columns import soundness
 from db.schema.tables import segment, summary
 from db.summaries import Bins
 from service.errors import StorageError
@@ -186,5 +186,5 @@ def carry_out(connection: Connection, change: Change) -> bool:
 
 def sound_and_damaged(table: Table, rows: Sequence[Row[Any]]) -> tuple[list[Row[Any]], list[Position]]:
     """Return the rows of a table that are sound, and the places of the others."""
-    sound = [row for row in rows if is_sound(table, row)]
+    sound = list(compress(rows, soundness(table, rows)))
     return sound, sorted(set(map(position_of, rows)) - set(map(position_of, sound)))

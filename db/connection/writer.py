@@ -17,7 +17,7 @@ from sqlalchemy.engine import Dialect
 from sqlalchemy.exc import DBAPIError, OperationalError, SQLAlchemyError
 
 from db.connection.engines import storage_error
-from db.schema.columns import checksum_of
+from db.schema.columns import checksums_of
 from service.errors import StorageError
 
 
@@ -68,18 +68,19 @@ class _Insertion(NamedTuple):
     converted: tuple[Callable[[Any], Any] | None, ...]
 
 
-def insert_new(connection: Connection, table: Table, rows: Sequence[Mapping[str, Any]]) -> int:
-    """Insert rows of the same columns and return how many were new; those whose primary key exists stay as they are."""
-    if not rows:
+def insert_new(connection: Connection, table: Table, columns: Mapping[str, Sequence[Any]]) -> int:
+    """Insert rows by columns; return how many were new: those whose primary key exists stay as they are."""
+    if not len(next(iter(columns.values()))):
         return 0
-    named = [{**row, "checksum": checksum_of(table, row)} for row in rows] if "checksum" in table.c else rows
+    if "checksum" in table.c:
+        columns = {**columns, "checksum": checksums_of(table, columns)}
     dialect = connection.dialect
-    text, names, converted = _insertion(dialect, table, tuple(named[0]))
-    columns = (
-        [row[name] for row in named] if convert is None else [convert(row[name]) for row in named]
+    text, names, converted = _insertion(dialect, table, tuple(columns))
+    stored = (
+        columns[name] if convert is None else map(convert, columns[name])
         for name, convert in zip(names, converted, strict=True)
     )
-    values: Any = list(zip(*columns, strict=True))
+    values: Any = list(zip(*stored, strict=True))
     if not dialect.positional:
         values = [dict(zip(names, each, strict=True)) for each in values]
     return connection.exec_driver_sql(text, values, execution_options={"preserve_rowcount": True}).rowcount

@@ -1,6 +1,6 @@
 """Rows of several sources and segments in order: as runs of one piece, and as blocks."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple, Protocol
 
@@ -29,8 +29,8 @@ class Chunk(Protocol):
     def power_dbm(self) -> Float32Array:
         """Return the powers as stored, (T, N) dBm."""
 
-    def record(self, position: int) -> Measurement:
-        """Return the row at a place."""
+    def records(self, positions: IntArray) -> list[Measurement]:
+        """Return the rows at some places."""
 
 
 class ChunkRun(NamedTuple):
@@ -45,9 +45,9 @@ class ChunkRun(NamedTuple):
         """Return the cursor behind the last row."""
         return int(self.chunk.epochs_us[self.positions[-1]]), int(self.chunk.numbers[self.positions[-1]])
 
-    def records(self) -> Iterator[Measurement]:
-        """Yield the rows."""
-        return map(self.chunk.record, self.positions.tolist())
+    def records(self) -> list[Measurement]:
+        """Return the rows."""
+        return self.chunk.records(self.positions)
 
     def power_dbm(self) -> Float32Array:
         """Return the powers of the rows, (n, N) dBm."""

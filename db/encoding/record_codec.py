@@ -1,9 +1,9 @@
 """Records as columns of a row, and documents as JSON."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import MISSING
-from functools import cache
+from functools import cache, lru_cache
 from operator import attrgetter, itemgetter
 from typing import Any, Generic, TypeVar, cast
 
@@ -93,12 +93,14 @@ class RecordCodec(Generic[Record]):
         decodes = enumerate(map(_decode, fields, positions))
         self._decodes = [(position, decode) for position, decode in decodes if decode is not None]
 
-    def values(self, record: Record) -> dict[str, Any]:
-        """Return the columns of a record."""
-        values = dict(zip(self._plain_names, self._plain(record), strict=True))
+    def columns(self, records: Sequence[Record]) -> dict[str, Sequence[Any]]:
+        """Return records, at least one, as columns."""
+        columns: dict[str, Sequence[Any]] = dict(
+            zip(self._plain_names, zip(*map(self._plain, records), strict=True), strict=True)
+        )
         for get, names, encode_value in self._encodes:
-            values.update(zip(names, encode_value(get(record)), strict=True))
-        return values
+            columns.update(zip(names, zip(*map(encode_value, map(get, records)), strict=True), strict=True))
+        return columns
 
     def record(self, row: Row[Any]) -> Record:
         """Return the record of a row of the table, with all of its columns in their order."""
@@ -125,7 +127,7 @@ def _encode(field: RecordField) -> Encode | None:
     if field.kind is FieldKind.AXIS_TRUTHS:
         return tuple
     text = _text_of(field)
-    if field.default is MISSING:
+    if field.default is MISSING or field.default != field.default:
         return None if text is None else lambda value: (text(value),)
     # most rows have the default
     same = text or (lambda value: value)
@@ -142,9 +144,14 @@ def _text_of(field: RecordField) -> Callable[[Any], str] | None:
     if field.kind is FieldKind.RECORD:
         return encode
     if field.kind is FieldKind.TEXTS or (field.kind is FieldKind.RECORDS and issubclass(content, tuple)):
-        # most rows have none
-        return lambda value: json.dumps(value) if value else "[]"
+        return _list_text
     return (lambda value: encode_all(content, value)) if field.kind is FieldKind.RECORDS else None
+
+
+@lru_cache(maxsize=1024)
+def _list_text(texts: tuple[str | tuple[str, ...], ...]) -> str:
+    """Return texts, or records of texts, as JSON; most rows have one of a few."""
+    return json.dumps(texts)
 
 
 def _decode(field: RecordField, positions: tuple[int, ...]) -> Decode | None:

@@ -6,7 +6,7 @@ from sqlalchemy import Connection, Table, select
 from sqlalchemy.exc import SQLAlchemyError
 
 from db.documents import damaged_documents
-from db.schema.columns import agrees, row_name
+from db.schema.columns import row_name, soundness
 from db.schema.tables import metadata, segment
 
 _FETCH = 10_000
@@ -54,17 +54,14 @@ def damage_of(connection: Connection) -> list[str]:
 
 def _checked(connection: Connection, table: Table) -> CheckedTable:
     agreeing = lacking = differing = 0
-    named = []
+    named: list[str] = []
     at_once = _FETCH_SEGMENTS if table is segment else _FETCH
     options = {"stream_results": True, "max_row_buffer": at_once}
     for rows in connection.execute(select(table), execution_options=options).partitions(at_once):
-        for row in rows:
-            if row.checksum is None:
-                lacking += 1
-            elif agrees(table, row):
-                agreeing += 1
-            else:
-                differing += 1
-                if differing <= _NAMED:
-                    named.append(row_name(table, row))
+        wrong = [row for row, is_sound in zip(rows, soundness(table, rows), strict=True) if not is_sound]
+        without = sum(row.checksum is None for row in rows)
+        lacking += without
+        differing += len(wrong)
+        agreeing += len(rows) - without - len(wrong)
+        named += [row_name(table, row) for row in wrong[: _NAMED - len(named)]]
     return CheckedTable(table.name, agreeing, lacking, differing, tuple(named))

@@ -81,9 +81,9 @@ class RowChunk:
         """Return one of the details, (T, N), NaN = not stated."""
         return details_of(self._columns["figures"], self._powers.shape[1])[:, DETAIL_NAMES.index(name)]
 
-    def record(self, position: int) -> Measurement:
-        """Return the row at a place."""
-        return measurement_of(self._rows[position], self.source)
+    def records(self, positions: IntArray) -> list[Measurement]:
+        """Return the rows at some places."""
+        return [measurement_of(self._rows[position], self.source) for position in positions.tolist()]
 
 
 class MeasurementPages:
@@ -197,7 +197,7 @@ class MeasurementPages:
         for head in heads_of_numbers(self._connection, self.key, after, upto):
             chunk = read_chunk(self._connection, self._cache, head)
             positions = np.flatnonzero((chunk.numbers > after) & (chunk.numbers <= upto))
-            found += [chunk.record(position) for position in positions.tolist()]
+            found += chunk.records(positions)
         return found
 
     def next_number(self, after: int) -> int | None:
@@ -215,7 +215,7 @@ class MeasurementPages:
         """Return the row of a source at an epoch."""
         window = Window(epoch_us, epoch_us + 1)
         runs = self.read(Chosen(window, self.names[source_key]), 1, None)
-        return runs[0].chunk.record(int(runs[0].positions[0])) if runs else None
+        return runs[0].records()[0] if runs else None
 
     def newest(self, chosen: Chosen) -> tuple[int, int, int] | None:
         """Return epoch, number and time of receipt of the row with the greatest (epoch, number)."""

@@ -42,7 +42,7 @@ class MeasurementRows:
 
     def sealed(self, connection: Connection, head: SegmentHead) -> list[Measurement]:
         """Return the rows of a segment; StorageError ``storage.corrupt``."""
-        return list(map(read_chunk(connection, None, head).record, range(head.row_count)))
+        return read_chunk(connection, None, head).records(np.arange(head.row_count))
 
     def columns_and_bins(self, of: RowSeries, rows: Sequence[Measurement]) -> tuple[dict[str, Any], Bins]:  # noqa: ARG002
         """Return rows as the columns of a segment, and the bins of powers and of C/N0 in the order of the plan."""

@@ -3,7 +3,7 @@
 import math
 import struct
 from collections import namedtuple
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cache, partial
 from typing import Any
 
@@ -34,14 +34,25 @@ _ATTITUDE, _TORQUE = RecordCodec(AttitudeRow, attitude), RecordCodec(TorqueComma
 attitude_of, torque_of = _ATTITUDE.record, _TORQUE.record
 
 
-def attitude_values(key: int, version: str, row: AttitudeRow, sequence: int | None) -> dict[str, Any]:
-    """Return the columns of an attitude row."""
-    return {"spacecraft_key": key, "version": version, "sequence": sequence, **_ATTITUDE.values(row)}
+def attitude_columns(
+    key: int,
+    version: str,
+    rows: Sequence[AttitudeRow],
+    sequences: Sequence[int | None],
+    carriers: Sequence[CarrierResults | None],
+) -> dict[str, Sequence[Any]]:
+    """Return the columns of attitude rows, at least one."""
+    kind = {"spacecraft_key": (key,) * len(rows), "version": (version,) * len(rows), "sequence": sequences}
+    return {**kind, **_ATTITUDE.columns(rows), "carriers": pack_carriers(carriers)}
 
 
-def torque_values(key: int, version: str, command: TorqueCommand, sequence: int | None) -> dict[str, Any]:
-    """Return the columns of a torque command."""
-    return {"spacecraft_key": key, "version": version, "sequence": sequence, **_TORQUE.values(command)}
+def torque_columns(
+    key: int, version: str, commands: Sequence[TorqueCommand], sequences: Sequence[int | None]
+) -> dict[str, Sequence[Any]]:
+    """Return the columns of torque commands, at least one."""
+    count = len(commands)
+    kind = {"spacecraft_key": (key,) * count, "version": (version,) * count, "sequence": sequences}
+    return {**kind, **_TORQUE.columns(commands)}
 
 
 #: of a level: absent, and the greatest
@@ -51,12 +62,24 @@ _CARRIER_BYTES = 5
 _STATE_BITS = 4
 
 
-def pack_carriers(results: CarrierResults) -> bytes:
-    """Return the results of a row as bytes."""
-    words = (results.state | results.hypothesis << _STATE_BITS).astype(np.uint8)
-    steps = np.rint(np.concatenate((results.deviation_db, results.residual_db)) / STEP_DB)
-    levels = np.where(np.isnan(steps), _NONE, np.minimum(np.maximum(steps, -_MOST), _MOST)).astype("<i2")
-    return b"".join((_PLAN.pack(results.plan_id), levels.tobytes(), words.tobytes()))
+def pack_carriers(results: Sequence[CarrierResults | None]) -> list[bytes | None]:
+    """Return the results of rows as bytes: the plan, levels of both kinds, and words; None stays None."""
+    by_plan: dict[tuple[int, int], list[int]] = {}
+    for position, each in enumerate(results):
+        if each is not None:
+            by_plan.setdefault((each.plan_id, len(each.state)), []).append(position)
+    packed: list[bytes | None] = [None] * len(results)
+    for (plan_id, count), positions in by_plan.items():
+        its = [each for position in positions if (each := results[position]) is not None]
+        steps = np.rint(np.array([(each.deviation_db, each.residual_db) for each in its]) / STEP_DB)
+        words = np.array([each.state for each in its]) | np.array([each.hypothesis for each in its]) << _STATE_BITS
+        rows = np.empty(len(its), dtype=[("plan", "<i4"), ("levels", "<i2", (2, count)), ("words", "u1", (count,))])
+        rows["plan"], rows["words"] = plan_id, words
+        rows["levels"] = np.where(np.isnan(steps), _NONE, np.minimum(np.maximum(steps, -_MOST), _MOST))
+        whole, size = rows.tobytes(), rows.itemsize
+        for place, position in enumerate(positions):
+            packed[position] = whole[place * size : (place + 1) * size]
+    return packed
 
 
 def unpack_carriers(blob: bytes) -> CarrierResults:
@@ -212,15 +235,21 @@ def newest_sealed_us(connection: Connection, key: int) -> int:
     return max((head.last_epoch_us for head in newest if head is not None), default=-(1 << 62))
 
 
-def stored_positions(connection: Connection, of: RowSeries, wanted: set[Cursor]) -> set[Cursor]:
-    """Return those of some (epoch, number), at least one, that are stored."""
+def unsealed_positions(connection: Connection, of: RowSeries, wanted: set[Cursor]) -> set[Cursor]:
+    """Return those of some (epoch, number) that are in the table of rows."""
     epoch, number = of.table.c.epoch_us, of.table.c.number
     # by epoch alone: for pairs SQLite goes through every row of the series
     epochs_us, found = sorted({each[0] for each in wanted}), set[Cursor]()
     for start in range(0, len(epochs_us), _LOOKUP):
         query = select(epoch, number).where(*of.of_rows(), epoch.in_(epochs_us[start : start + _LOOKUP]))
         found |= wanted.intersection((row[0], row[1]) for row in connection.execute(query))
-    for head in heads(connection, of.of_segments(), epochs_us[0], epochs_us[-1] + 1):
+    return found
+
+
+def sealed_positions(connection: Connection, of: RowSeries, wanted: set[Cursor]) -> set[Cursor]:
+    """Return those of some (epoch, number), at least one, that are sealed."""
+    found = set[Cursor]()
+    for head in heads(connection, of.of_segments(), min(wanted)[0], max(wanted)[0] + 1):
         each = read_results(connection, head)
         found |= wanted.intersection(zip(each.epochs_us.tolist(), each.numbers.tolist(), strict=True))
     return found

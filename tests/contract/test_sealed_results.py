@@ -57,7 +57,7 @@ def answers(setting, windows, alignment):
         "after the alignment": results.rows_after(name, alignment),
         "sequences": [results.results_after(name, after, 9) for after in range(0, last + 1, 7)],
         "carriers of sequences": [
-            (sequence, pack_carriers(each))
+            (sequence, *pack_carriers([each]))
             for after in range(0, last + 1, 7)
             for sequence, each in sorted(results.carriers_after(name, after, after + 9).items())
         ],
@@ -78,7 +78,7 @@ def answers(setting, windows, alignment):
 
                 carriers = results.carrier_results(name, version, method, window)
                 found[f"carriers {method} {version} {window}"] = [
-                    (position, pack_carriers(each)) for position, each in carriers.items()
+                    (position, *pack_carriers([each])) for position, each in carriers.items()
                 ]
                 found[f"{method} {version} {window}"] = [list(pages(rows, limit)) for limit in (4, 999)]
     return {question: repr(answer) for question, answer in found.items()}

@@ -167,7 +167,7 @@ class Station:
 
     def carriers(self, method, version, start, stop):
         found = self.storage.results.carrier_results(SC, version, method, self.window(start, stop))
-        return {position: pack_carriers(results) for position, results in found.items()}
+        return dict(zip(found, pack_carriers(list(found.values())), strict=True))
 
     def commands(self, version=LIVE, start=1, stop=100_000):
         """Return the commands of some minutes."""
