@@ -6,18 +6,19 @@ activations stood before it.
 """
 
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 from itertools import starmap
 from typing import NamedTuple
 
 from sqlalchemy import Connection, and_, func, select
 
-from db.database import ALL_ROWS, newest_rows
+from db.database import ALL_ROWS, newest_rows, position_of
 from db.encoding.measurement_runs import ChunkRun
 from db.encoding.record_codec import decode
 from db.encoding.segments import RowSeries, SegmentCache
 from db.measurements.measurement_pages import EVER, LIGHT, Chosen, MeasurementPages
 from db.measurements.retention import kept_from_us
-from db.results.stored_rows import attitude_of, newest_row, stored_rows
+from db.results.stored_rows import attitude_of, attitudes_of, newest_row, stored_rows
 from db.schema.columns import sound_rows
 from db.schema.tables import attitude, calibration, head, journal, retention_mark
 from service.ports.archive import LIVE, ListPart
@@ -89,7 +90,7 @@ class AttitudeReader:
         return None if row is None else attitude_of(row)
 
     def _left(self, part: ListPart) -> list[AttitudeRow]:
-        return [attitude_of(row) for row in stored_rows(self._connection, self._stored, part)]
+        return attitudes_of(stored_rows(self._connection, self._stored, part))
 
     def _measured(self, part: ListPart) -> list[AttitudeRow]:
         if part.newest_first:
@@ -109,28 +110,21 @@ class AttitudeReader:
         if not measurements:
             return []
         window = Window(measurements[0].epoch_us, measurements[-1].epoch_us + 1)
-        stored = {
-            (row.epoch_us, row.number): row
-            for row in stored_rows(self._connection, self._stored, ListPart(window, ALL_ROWS))
-        }
-        positions = [(measurement.epoch_us, measurement.number) for measurement in measurements]
-        if all(position in stored for position in positions):
-            return [attitude_of(stored[position]) for position in positions]
-        calibrated_number = self._calibrated_number()
+        rows = attitudes_of(stored_rows(self._connection, self._stored, ListPart(window, ALL_ROWS)))
+        stored = {position_of(row): row for row in rows}
         return [
-            self._without_attitude(measurement, calibrated_number)
-            if position not in stored
-            else attitude_of(stored[position])
-            for position, measurement in zip(positions, measurements, strict=True)
+            stored.get((measurement.epoch_us, measurement.number)) or self._without_attitude(measurement)
+            for measurement in measurements
         ]
 
-    def _without_attitude(self, measurement: _Consumed, calibrated_number: int | None) -> AttitudeRow:
-        is_calibrated = calibrated_number is not None and calibrated_number < measurement.number
+    def _without_attitude(self, measurement: _Consumed) -> AttitudeRow:
+        is_calibrated = self._calibrated_number is not None and self._calibrated_number < measurement.number
         inhibition = "not_aligned" if is_calibrated else "no_calibration"
         return row_without_attitude(
             measurement.epoch_us, measurement.received_at_us, measurement.number, self._method, (inhibition,)
         )
 
+    @cached_property
     def _calibrated_number(self) -> int | None:
         """Return the number of the activation from which on the method had a calibration."""
         held = select(calibration.c.calibration_id, calibration.c.method)

@@ -10,7 +10,14 @@ from db.database import Database
 from db.encoding.segments import RowSeries, SegmentHead, heads
 from db.measurements.retention import kept_from_us
 from db.results.replays import check_held
-from db.results.stored_rows import attitude_of, read_results, torque_of, unpack_carriers, unsealed_rows
+from db.results.stored_rows import (
+    attitudes_of,
+    carrier_steps,
+    plan_of_carriers,
+    read_results,
+    torques_of,
+    unsealed_rows,
+)
 from db.schema.tables import attitude, summary
 from db.summaries import bins_within, next_row_us, seasons
 from service.core.rows import Summaries
@@ -60,25 +67,23 @@ def carriers_name(plan_id: int) -> str:
 
 def carrier_figures(rows: Iterable[Any]) -> Iterator[CarrierFigures]:
     """Yield what stored rows of attitude hold of the carriers of each plan."""
-    by_plan: dict[int, list[tuple[int, FloatArray]]] = {}
+    by_plan: dict[int, list[tuple[int, bytes]]] = {}
     for row in rows:
         if row.carriers is not None:
-            results = unpack_carriers(row.carriers)
-            levels_db = np.concatenate((results.deviation_db, results.residual_db))
-            by_plan.setdefault(results.plan_id, []).append((row.epoch_us, np.rint(levels_db / STEP_DB)))
+            by_plan.setdefault(plan_of_carriers(row.carriers), []).append((row.epoch_us, row.carriers))
     for plan_id, found in by_plan.items():
-        epochs_us = np.array([epoch_us for epoch_us, _ in found], dtype=np.int64)
-        yield CarrierFigures(plan_id, epochs_us, np.array([steps for _, steps in found]))
+        epochs_us, blobs = zip(*found, strict=True)
+        yield CarrierFigures(plan_id, np.array(epochs_us, dtype=np.int64), carrier_steps(blobs))
 
 
 def sampled_figures(
     database: Database, of: RowSeries, window: Window, intervals: Intervals, columns: int
 ) -> Iterator[Summaries]:
     """Yield the first figures of the computed rows of a window in buckets that lie within one interval each."""
-    record, quantity = (attitude_of, ATTITUDE) if of.table is attitude else (torque_of, IMPULSE)
+    records, quantity = (attitudes_of, ATTITUDE) if of.table is attitude else (torques_of, IMPULSE)
 
     def of_rows(rows: Sequence[Any]) -> Iterator[Summaries]:
-        epochs_us, values = figures(list(map(record, rows)))
+        epochs_us, values = figures(records(rows))
         if len(epochs_us):
             yield Summaries.of_rows(epochs_us, values[:, :columns])
 

@@ -11,7 +11,7 @@ from db.encoding.column_blob import arrow
 from db.encoding.segments import DAY_US, RowSeries, SegmentHead, day_of
 from db.results.result_samples import ATTITUDE, IMPULSE, carrier_figures, carriers_name, figures
 from db.results.state_history import STATES, stretch_blob, stretch_of
-from db.results.stored_rows import HEAD_COLUMNS, TABLES, attitude_of, read_results, torque_of
+from db.results.stored_rows import HEAD_COLUMNS, TABLES, attitudes_of, read_results, torques_of
 from db.schema.columns import Figure
 from db.schema.tables import attitude
 from db.sealing import Position, seal_day, sound_and_damaged
@@ -55,8 +55,8 @@ ROWS = ResultRows()
 def _bins(of: RowSeries, rows: Sequence[Any]) -> Bins:
     """Return the bins of the figures of rows, of those of their carriers by plan, and the states of live rows."""
     if of.table is not attitude:
-        return bins_of(IMPULSE, *figures([torque_of(row) for row in rows]))
-    records = [attitude_of(row) for row in rows]
+        return bins_of(IMPULSE, *figures(torques_of(rows)))
+    records = attitudes_of(rows)
     found = bins_of(ATTITUDE, *figures(records))
     for plan_id, epochs_us, steps in carrier_figures(rows):
         found |= bins_of(carriers_name(plan_id), epochs_us, steps)

@@ -27,6 +27,7 @@ from db.results.state_history import state_history
 from db.results.stored_rows import (
     attitude_columns,
     attitude_of,
+    attitudes_of,
     newest_row,
     next_sealed_sequence,
     numbers_where,
@@ -35,6 +36,7 @@ from db.results.stored_rows import (
     stored_rows,
     torque_columns,
     torque_of,
+    torques_of,
     unpack_carriers,
     unsealed_positions,
 )
@@ -231,7 +233,7 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
             of = RowSeries(key, attitude, version, method.value)
             rows = stored_rows(connection, of, part)
             check_held(connection, key, version)
-        return [attitude_of(row) for row in rows]
+        return attitudes_of(rows)
 
     def carrier_results(
         self, spacecraft_id: str, version: str, method: Method, window: Window
@@ -287,7 +289,7 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
             of = RowSeries(key, torque, version)
             rows = stored_rows(connection, of, part)
             check_held(connection, key, version)
-        return [torque_of(row) for row in rows]
+        return torques_of(rows)
 
     def newest_command(self, spacecraft_id: str, version: str) -> TorqueCommand | None:
         """Return the newest computed command."""

@@ -1,13 +1,13 @@
 """Rows of results as stored: in tables, in the segments of sealed days, and as records; carriers' results as bytes."""
 
 import math
-import struct
 from collections import namedtuple
 from collections.abc import Iterator, Sequence
 from functools import cache, partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from sqlalchemy import Connection, Table, and_, func, select
 
 from db.database import newest_rows, page_of, position_of, start_of_last, within
@@ -32,6 +32,8 @@ from service.records.levels.attitude import (
 _ATTITUDE, _TORQUE = RecordCodec(AttitudeRow, attitude), RecordCodec(TorqueCommand, torque)
 #: record of a row of ``select(attitude)``, or of ``select(torque)``
 attitude_of, torque_of = _ATTITUDE.record, _TORQUE.record
+#: of many
+attitudes_of, torques_of = _ATTITUDE.records, _TORQUE.records
 
 
 def attitude_columns(
@@ -57,13 +59,16 @@ def torque_columns(
 
 #: of a level: absent, and the greatest
 _NONE, _MOST = -(1 << 15), (1 << 15) - 1
-_PLAN = struct.Struct("<i")
-_CARRIER_BYTES = 5
 _STATE_BITS = 4
 
 
+def _carrier_type(count: int) -> np.dtype[Any]:
+    """Return the type of the results of a row: its plan, levels of both kinds, state and hypothesis in one word."""
+    return np.dtype([("plan", "<i4"), ("levels", "<i2", (2, count)), ("words", "u1", (count,))])
+
+
 def pack_carriers(results: Sequence[CarrierResults | None]) -> list[bytes | None]:
-    """Return the results of rows as bytes: the plan, levels of both kinds, and words; None stays None."""
+    """Return the results of rows as bytes; None stays None."""
     by_plan: dict[tuple[int, int], list[int]] = {}
     for position, each in enumerate(results):
         if each is not None:
@@ -73,7 +78,7 @@ def pack_carriers(results: Sequence[CarrierResults | None]) -> list[bytes | None
         its = [each for position in positions if (each := results[position]) is not None]
         steps = np.rint(np.array([(each.deviation_db, each.residual_db) for each in its]) / STEP_DB)
         words = np.array([each.state for each in its]) | np.array([each.hypothesis for each in its]) << _STATE_BITS
-        rows = np.empty(len(its), dtype=[("plan", "<i4"), ("levels", "<i2", (2, count)), ("words", "u1", (count,))])
+        rows = np.empty(len(its), dtype=_carrier_type(count))
         rows["plan"], rows["words"] = plan_id, words
         rows["levels"] = np.where(np.isnan(steps), _NONE, np.minimum(np.maximum(steps, -_MOST), _MOST))
         whole, size = rows.tobytes(), rows.itemsize
@@ -84,12 +89,28 @@ def pack_carriers(results: Sequence[CarrierResults | None]) -> list[bytes | None
 
 def unpack_carriers(blob: bytes) -> CarrierResults:
     """Return the results of a row."""
-    count = (len(blob) - _PLAN.size) // _CARRIER_BYTES
-    levels = np.frombuffer(blob, dtype="<i2", count=2 * count, offset=_PLAN.size).reshape(2, count)
-    values: FloatArray = np.where(levels == _NONE, np.nan, levels * STEP_DB)
-    words: IntArray = np.frombuffer(blob, dtype=np.uint8, offset=_PLAN.size + 4 * count).astype(np.int64)
-    low = (1 << _STATE_BITS) - 1
-    return CarrierResults(_PLAN.unpack_from(blob)[0], values[0], values[1], words & low, words >> _STATE_BITS)
+    row, low = _carrier_rows([blob])[0], (1 << _STATE_BITS) - 1
+    deviation_db, residual_db = np.where(row["levels"] == _NONE, np.nan, row["levels"] * STEP_DB)
+    words = row["words"].astype(np.int64)
+    return CarrierResults(int(row["plan"]), deviation_db, residual_db, words & low, words >> _STATE_BITS)
+
+
+def carrier_steps(blobs: Sequence[bytes]) -> FloatArray:
+    """Return deviations and residuals of rows of one plan, (T, 2 N) steps of ``STEP_DB``, NaN = absent."""
+    levels = _carrier_rows(blobs)["levels"].reshape(len(blobs), -1)
+    return np.where(levels == _NONE, np.nan, levels)
+
+
+def _carrier_rows(blobs: Sequence[bytes]) -> NDArray[Any]:
+    """Return the results of rows of one plan as `_carrier_type`."""
+    fixed = _carrier_type(0).itemsize
+    count = (len(blobs[0]) - fixed) // (_carrier_type(1).itemsize - fixed)
+    return np.frombuffer(b"".join(blobs), dtype=_carrier_type(count))
+
+
+def plan_of_carriers(blob: bytes) -> int:
+    """Return the plan of the results of a row."""
+    return int.from_bytes(blob[:4], "little", signed=True)
 
 
 #: columns of the tables that the head of a segment states, or that are made from the others
