@@ -18,8 +18,7 @@ import uvicorn
 
 from db.connection.engines import open_engines
 from db.encoding.segments import SegmentCache
-from db.measurements.ingest import StoreBatch
-from db.measurements.row_insert import PreparedBatch, prepare
+from db.measurements.ingest import PreparedBatch, StoreBatch, prepare
 from service.api.server_process import StreamingServer, calm_collector
 from service.composition.bootstrap import build_app, build_storage
 from service.composition.settings import Settings

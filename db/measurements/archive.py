@@ -17,11 +17,11 @@ from sqlalchemy import ColumnElement, Connection, Row, Select, and_, func, or_, 
 from db.database import Database, EpochSpan, add_entries, count_entries, lock_head, next_id, page_of, within
 from db.encoding.record_codec import decode, decode_all, decode_input, encode, kind_of
 from db.encoding.segments import DAY_US, SegmentCache
-from db.measurements import power_samples, retention, sealing
-from db.measurements.ingest import StoreBatch
+from db.measurements import closed_days
+from db.measurements.closed_days import seal_measurements
+from db.measurements.ingest import StoreBatch, prepare
 from db.measurements.journal_heads import HEAD_COLUMNS, SOURCE_COLUMNS, head_states, journal_heads, source_state
-from db.measurements.measurement_pages import EVER, UNCHECKED, Chosen, MeasurementPages
-from db.measurements.row_insert import prepare
+from db.measurements.measurement_pages import EVER, UNCHECKED, Chosen, MeasurementPages, sampled_powers
 from db.schema.columns import sound_rows
 from db.schema.tables import carrier_plan, head, journal, operation, source, source_key_run
 from service.errors import InvalidInputError, NotFoundError
@@ -342,7 +342,7 @@ class SqlArchive:
         """Yield the rows of a window in buckets that lie within one interval each; every row is in one of them."""
         key, chosen = self._database.key(spacecraft_id), Chosen(window, source)
         carriers_of = partial(self._carrier_ids, key)
-        return power_samples.sampled(self._database, key, chosen, intervals, carriers_of, figure)
+        return sampled_powers(self._database, key, chosen, intervals, carriers_of, figure)
 
     def plan_ids(self, spacecraft_id: str, window: Window) -> tuple[int, ...]:
         """Return the numbers of the carrier plans under which the rows of a window were stored, ascending."""
@@ -415,21 +415,21 @@ class SqlArchive:
 
     def seal(self, spacecraft_id: str, before_us: int, received_before_us: int) -> Iterator[SealedPart]:
         """Seal closed days, a transaction a step."""
-        return sealing.seal(self._database, self._database.key(spacecraft_id), before_us, received_before_us)
+        return seal_measurements(self._database, self._database.key(spacecraft_id), before_us, received_before_us)
 
     def drop_before(self, spacecraft_id: str, series: str, before_us: int) -> Iterator[RetiredRows]:
         """Drop the rows of a series of whole days before an epoch, a transaction a step."""
-        return retention.drop(self._database, self._database.key(spacecraft_id), series, before_us)
+        return closed_days.drop(self._database, self._database.key(spacecraft_id), series, before_us)
 
     def fitting_us(self, spacecraft_id: str, series: str, size_bytes: int) -> int | None:
         """Return from where on a series fits a size; None when all of it does."""
-        return retention.fitting_us(self._database, self._database.key(spacecraft_id), series, size_bytes)
+        return closed_days.fitting_us(self._database, self._database.key(spacecraft_id), series, size_bytes)
 
     def kept_from_us(self, spacecraft_id: str, series: str) -> int:
         """Return the epoch from which on a series is kept."""
         key = self._database.key(spacecraft_id)
         with self._database.read() as connection:
-            return retention.kept_from_us(connection, key, series)
+            return closed_days.kept_from_us(connection, key, series)
 
     def _pages(self, connection: Connection, key: int) -> MeasurementPages:
         return MeasurementPages(connection, self._database.segments, key)

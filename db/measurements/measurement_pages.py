@@ -3,7 +3,7 @@
 A page begins behind a cursor (epoch, number), which stays true whatever happens to the rows between two pages.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
 from operator import itemgetter
 from typing import Any, NamedTuple
@@ -11,9 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from sqlalchemy import ColumnElement, Connection, Row, Select, func, select
 
-from db.database import beyond, newest_rows, start_of_last, within
-from db.encoding.measurement_rows import details_of, measurement_of, powers_of
-from db.encoding.measurement_runs import ChunkRun, OrderedRows, end_us
+from db.database import Database, beyond, newest_rows, start_of_last, within
+from db.encoding.measurement_rows import ChunkRun, OrderedRows, details_of, end_us, measurement_of, powers_of
 from db.encoding.segments import (
     MeasurementSegment,
     SegmentCache,
@@ -26,7 +25,9 @@ from db.encoding.segments import (
 )
 from db.schema.columns import sound_rows
 from db.schema.tables import measurement, segment, source
-from service.ports.archive import Cursor, ListPart
+from db.summaries import bins_within, next_row_us, seasons
+from service.core.rows import Summaries
+from service.ports.archive import Cursor, Intervals, ListPart, MeasuredFigure, SampledPowers
 from service.records.calibration import Window
 from service.records.levels.attitude import BoolArray, IntArray
 from service.records.levels.measurement import DETAIL_NAMES, Float32Array, Measurement, MeasurementBlock
@@ -340,3 +341,41 @@ def _positions(chunk: MeasurementSegment, chosen: Chosen, after: Cursor | None, 
     epochs_us, numbers = chunk.epochs_us[positions], chunk.numbers[positions]
     is_beyond: BoolArray = (epochs_us > after[0]) | ((epochs_us == after[0]) & (numbers > after[1]))
     return positions[is_beyond]
+
+
+def sampled_powers(
+    database: Database,
+    key: int,
+    chosen: Chosen,
+    intervals: Intervals,
+    carriers_of: Callable[[int], Sequence[str]],
+    figure: MeasuredFigure = "power_dbm",
+) -> Iterator[SampledPowers]:
+    """Yield rows in buckets that lie within one interval each, a read transaction a season.
+
+    ``carriers_of`` gives the carriers of a plan.
+    """
+
+    def next_us(connection: Connection, epoch_us: int) -> int | None:
+        row = measurement.c
+        return next_row_us(connection, row.epoch_us, [row.spacecraft_key == key], of_measurements(key), epoch_us)
+
+    for connection, window in seasons(database, chosen.window, next_us):
+        pages, part = MeasurementPages(connection, database.segments, key), chosen._replace(window=window)
+        heads = pages.segments(part)
+        for plan_id in sorted({head.plan_id for head in heads}):
+            of_plan = [head for head in heads if head.plan_id == plan_id]
+            columns = slice(len(carriers_of(plan_id)))
+            buckets, rest = bins_within(connection, of_plan, figure, intervals, columns)
+            if buckets is not None:
+                yield SampledPowers(plan_id, buckets)
+            for head in rest:
+                yield SampledPowers(plan_id, _bucket(read_chunk(connection, None, head), figure))
+        for chunk in pages.read_unsealed(part):
+            yield SampledPowers(chunk.plan_id, _bucket(chunk, figure))
+
+
+def _bucket(chunk: RowChunk | MeasurementSegment, figure: MeasuredFigure) -> Summaries:
+    """Return the rows of a piece as buckets of their own."""
+    values = chunk.power_dbm() if figure == "power_dbm" else chunk.figure(figure)
+    return Summaries.of_rows(chunk.epochs_us, values)

@@ -11,8 +11,8 @@ from sqlalchemy import Connection, delete, func, not_, or_, select
 from sqlalchemy.sql.elements import ColumnElement
 
 from db.encoding.segments import DAY_US, RowSeries, SegmentCache, heads_of_numbers, read_chunk
+from db.measurements.closed_days import kept_from_us
 from db.measurements.measurement_pages import MAX_NUMBER
-from db.measurements.retention import kept_from_us
 from db.results.stored_rows import newest_sealed_us, stored_numbers
 from db.schema.tables import alignment, attitude, complete_mark, head, measurement
 from service.ports.archive import LIVE

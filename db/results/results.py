@@ -16,18 +16,16 @@ from db.connection.writer import insert_new
 from db.database import ALL_ROWS, Database, lock_head
 from db.encoding.segments import RowSeries
 from db.measurements.archive import store_inputs
-from db.results import result_sealing
-from db.results.attitude_reader import AttitudeReader, newest_computed
 from db.results.calibrations import SqlCalibrations
-from db.results.jobs import SqlJobs, checkpoints, store_checkpoint
+from db.results.jobs import SqlJobs, SqlReplays, check_held, checkpoints, note_rows, store_checkpoint
 from db.results.pending import PendingCount
-from db.results.replays import SqlReplays, check_held, note_rows
-from db.results.result_samples import sampled_carriers, sampled_figures
-from db.results.state_history import state_history
+from db.results.result_samples import sampled_carriers, sampled_figures, seal_results, state_history
 from db.results.stored_rows import (
+    AttitudeReader,
     attitude_columns,
     attitude_of,
     attitudes_of,
+    newest_computed,
     newest_row,
     next_sealed_sequence,
     numbers_where,
@@ -222,7 +220,7 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
     def attitude_rows(self, spacecraft_id: str, version: str, method: Method, part: ListPart) -> list[AttitudeRow]:
         """Return rows in order of (epoch, number of the measurement) beyond a cursor.
 
-        The live version has exactly one row a consumed measurement: ``db.results.attitude_reader`` fills in rows that
+        The live version has exactly one row a consumed measurement: ``db.results.stored_rows`` fills in rows that
         were not computed.
         """
         key = self._database.key(spacecraft_id)
@@ -345,7 +343,7 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
 
     def seal(self, spacecraft_id: str, before_us: int) -> Iterator[SealedResults]:
         """Seal the results of closed days, a transaction a step."""
-        return result_sealing.seal(self._database, self._database.key(spacecraft_id), before_us)
+        return seal_results(self._database, self._database.key(spacecraft_id), before_us)
 
 
 def _alignments_after(connection: Connection, key: int, epoch_us: int) -> tuple[IntArray, IntArray]:

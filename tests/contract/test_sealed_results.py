@@ -8,7 +8,7 @@ from sqlalchemy import func, select, update
 
 from db import sealing
 from db.encoding.segments import DAY_US
-from db.measurements import retention
+from db.measurements import closed_days
 from db.results.stored_rows import pack_carriers
 from db.schema.tables import attitude, segment, torque
 from db.storage import SqlStorage
@@ -284,7 +284,7 @@ def test_a_damaged_row_is_not_sealed(setting, make, caplog):
 
 @pytest.mark.parametrize("series", ["attitude", "torques"])
 def test_retention_drops_sealed_days_of_every_version(setting, make, monkeypatch, series):
-    monkeypatch.setattr(retention, "SEGMENTS_AT_ONCE", 1)
+    monkeypatch.setattr(closed_days, "SEGMENTS_AT_ONCE", 1)
     lived(setting, make)
     lived(setting, make, version=REPLAYED)
     archive, results = setting.storage.archive, setting.storage.results

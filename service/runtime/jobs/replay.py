@@ -28,18 +28,16 @@ from service.records.levels.measurement import Measurement
 from service.records.operations.work import Job, JobKind, Replay
 from service.records.storage import Checkpoint
 from service.runtime.jobs.job_runner import WorkerConfig, new_job
-from service.runtime.live.chain_restart import (
+from service.runtime.live.journal_consumer import (
+    BLOCK_ROWS,
     KNOWN_US,
+    DocumentCache,
     checkpoint_of,
+    consume,
+    consume_rows,
     numbered_alignments,
     restored_checkpoint,
     state_of,
-)
-from service.runtime.live.journal_consumer import (
-    BLOCK_ROWS,
-    DocumentCache,
-    consume,
-    consume_rows,
     trips_after,
     update_before,
     without_torque_after,

@@ -27,8 +27,16 @@ from service.records.levels.attitude import AppliedCommand, AttitudeRow, Carrier
 from service.records.levels.measurement import BatchReceipt, HeadState, Measurement, MeasurementBatch
 from service.records.storage import Checkpoint
 from service.runtime.clock import system_now_us
-from service.runtime.live.chain_restart import PERIOD_US, ChainRestarts, checkpoint_of
-from service.runtime.live.journal_consumer import StepResults, consume, result_events, rows_from, trips_after
+from service.runtime.live.journal_consumer import (
+    PERIOD_US,
+    ChainRestarts,
+    StepResults,
+    checkpoint_of,
+    consume,
+    result_events,
+    rows_from,
+    trips_after,
+)
 from service.runtime.live.leadership import always, is_moving
 from service.runtime.live.live_feed import FeedEvent, FreshRows, LiveFeed, Relay, ReleaseWatcher, RowPublisher, Watcher
 

@@ -21,8 +21,7 @@ from service.records.inputs import AttitudeReference, Correction, Operation
 from service.records.levels.attitude import Axes
 from service.records.levels.measurement import MeasurementBatch
 from service.records.operations.work import JobKind, JobState, Replay
-from service.runtime.jobs.alignment_service import Aligner, AlignmentRequest
-from service.runtime.jobs.calibration import CalibrationWork
+from service.runtime.jobs.calibration import Aligner, AlignmentRequest, CalibrationWork
 from service.runtime.jobs.job_runner import JobPieces, JobRunner
 from service.runtime.jobs.replay import Replayer, replay_work
 from service.runtime.live import supervisor

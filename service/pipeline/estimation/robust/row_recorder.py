@@ -9,18 +9,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from service.core.estimation.effective_row import (
+    EffectiveRow,
+    effective_row,
+    restarted_states,
+    state_origin,
+)
 from service.core.estimation.filtering.filter_model import DRIFT, RATE, FilterSettings
 from service.core.estimation.filtering.filter_state import FilterState
 from service.core.estimation.filtering.motion_sensor import NO_EFFECT, SensorEffect
 from service.core.estimation.filtering.plant import TORQUES, has_torque, sensor_states
 from service.core.estimation.filtering.row_block import RowTrace
 from service.core.estimation.filtering.state_changes import sensors_of
-from service.core.estimation.smoothing.effective_row import (
-    EffectiveRow,
-    effective_row,
-    restarted_states,
-    state_origin,
-)
 from service.pipeline.estimation.robust.model import RobustModel
 from service.records.levels.attitude import FloatArray, IntArray
 

@@ -8,6 +8,21 @@ import pytest
 from filter_rows import step
 from wheel_filter import WHEELS, H
 
+from service.core.estimation.effective_row import (
+    EffectiveRow,
+    LinearStep,
+    before_resize,
+    before_row,
+    before_start,
+    before_step,
+    effective_row,
+    no_later_rows,
+    restarted_states,
+    smoothed_rows,
+    smoothed_state,
+    state_origin,
+    whitened_row,
+)
 from service.core.estimation.filtering.filter_model import (
     ATTITUDE,
     FREE_REFERENCE_DB2,
@@ -23,21 +38,6 @@ from service.core.estimation.filtering.plant import filter_model, momentum_count
 from service.core.estimation.filtering.polarimeter import AngleBlock, push_block
 from service.core.estimation.filtering.state_changes import sensors_first, with_torque
 from service.core.estimation.filtering.wheel_momentum import FREE_N_M_S, push_record
-from service.core.estimation.smoothing.effective_row import (
-    EffectiveRow,
-    LinearStep,
-    before_resize,
-    before_row,
-    before_start,
-    before_step,
-    effective_row,
-    no_later_rows,
-    restarted_states,
-    smoothed_rows,
-    smoothed_state,
-    state_origin,
-    whitened_row,
-)
 
 STATES, ROWS, SEED = 6, 25, 20261124
 
