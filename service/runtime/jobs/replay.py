@@ -27,7 +27,7 @@ from service.records.inputs import AlignmentSet, JournalEntry
 from service.records.levels.measurement import Measurement
 from service.records.operations.work import Job, JobKind, Replay
 from service.records.storage import Checkpoint
-from service.runtime.jobs.job_runner import WorkerConfig, new_job
+from service.runtime.jobs.job_runner import WorkerConfig, calm_collector, new_job
 from service.runtime.live.journal_consumer import (
     BLOCK_ROWS,
     KNOWN_US,
@@ -424,6 +424,7 @@ def run_span_in_process(
 ) -> list[Outcome]:
     """Run a span of a replay, as `ReplayRun.run_span` does, in a process that has no storage yet."""
     storage = open_storage()
+    calm_collector()
     try:
         return ReplayRun(storage, config, spacecraft_id, version).run_span(span)
     finally:
