@@ -17,7 +17,7 @@ from db.database import Database, lock_head, position_of
 from db.encoding.column_blob import pack_columns
 from db.encoding.segments import DAY_US, RowSeries, SegmentHead, heads
 from db.schema.columns import soundness
-from db.schema.tables import segment, summary
+from db.schema.tables import measurement, segment, summary
 from db.summaries import Bins
 from service.errors import StorageError
 from service.records.epoch import format_epoch
@@ -135,14 +135,14 @@ def _segment(of: RowSeries, day: int, rows: Sequence[Any], kind: RowKind) -> tup
     """Return the columns of a segment but its id and checksum, and what is summarised of it."""
     columns, bins = kind.columns_and_bins(of, rows)
     numbers = [row.number for row in rows]
-    sequences = [row.sequence for row in rows if getattr(row, "sequence", None) is not None]
+    sequences = [] if of.table is measurement else [row.sequence for row in rows if row.sequence is not None]
     values = {
         "spacecraft_key": of.key,
         "series": of.table.name,
         **dict(zip(RowSeries._fields[2:], of[2:], strict=True)),
         "day": day,
         "row_count": len(rows),
-        "feeding_count": sum(getattr(row, "feeds_estimator", False) for row in rows),
+        "feeding_count": sum(row.feeds_estimator for row in rows) if of.table is measurement else 0,
         "first_epoch_us": rows[0].epoch_us,
         "last_epoch_us": rows[-1].epoch_us,
         "first_number": min(numbers),

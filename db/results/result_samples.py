@@ -335,10 +335,10 @@ class ResultRows:
         table = of.table
         is_its = (*of.of_rows(), table.c.epoch_us >= start_us, table.c.epoch_us < stop_us)
         query = select(table).where(*is_its).order_by(table.c.epoch_us, table.c.number).limit(limit)
-        rows: list[Any] = list(connection.execute(query))
+        rows: list[Any] = list(connection.execute(query).all())
         if len(rows) == limit:
             is_rest = (table.c.epoch_us == rows[-1].epoch_us, table.c.number > rows[-1].number)
-            rows += connection.execute(query.limit(None).where(*is_rest))
+            rows += connection.execute(query.limit(None).where(*is_rest)).all()
         return sound_and_damaged(table, rows)
 
     def sealed(self, connection: Connection, head: SegmentHead) -> list[Any]:

@@ -18,10 +18,10 @@ from db.encoding.segments import RowSeries
 from db.measurements.archive import store_inputs
 from db.results.calibrations import SqlCalibrations
 from db.results.jobs import SqlJobs, SqlReplays, check_held, checkpoints, note_rows, store_checkpoint
-from db.results.pending import PendingCount
 from db.results.result_samples import sampled_carriers, sampled_figures, seal_results, state_history
 from db.results.stored_rows import (
     AttitudeReader,
+    PendingCount,
     attitude_columns,
     attitude_of,
     attitudes_of,

@@ -4,6 +4,10 @@ The live version has one row a consumed measurement, whether or not anything was
 for a measurement that it consumed before a method had a calibration and an alignment. Such rows are made here, on
 reading, with the reason that held when the measurement was consumed: journal numbers tell which activations stood
 before it.
+
+Which measurements lack a result is counted here too. Results are never taken away, so rows once found complete stay
+complete: below a journal number that is remembered for each alignment and method nothing has to be counted again, and
+the count costs what has come since.
 """
 
 import math
@@ -15,21 +19,41 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from sqlalchemy import Connection, Table, and_, func, select
+from sqlalchemy import Connection, Table, and_, delete, func, select
 
 from db.database import ALL_ROWS, newest_rows, page_of, position_of, start_of_last, within
 from db.encoding.column_blob import ColumnBlob, Positions
 from db.encoding.measurement_rows import ChunkRun
 from db.encoding.record_codec import RecordCodec, decode
-from db.encoding.segments import RowSeries, SegmentCache, SegmentHead, heads, heads_where, opened
+from db.encoding.segments import (
+    DAY_US,
+    RowSeries,
+    SegmentCache,
+    SegmentHead,
+    heads,
+    heads_of_numbers,
+    heads_where,
+    opened,
+    read_chunk,
+)
 from db.measurements.closed_days import kept_from_us
-from db.measurements.measurement_pages import EVER, LIGHT, Chosen, MeasurementPages
+from db.measurements.measurement_pages import EVER, LIGHT, MAX_NUMBER, Chosen, MeasurementPages
 from db.schema.columns import Figure, sound_rows
-from db.schema.tables import attitude, calibration, journal, retention_mark, segment, torque
+from db.schema.tables import (
+    alignment,
+    attitude,
+    calibration,
+    complete_mark,
+    journal,
+    measurement,
+    retention_mark,
+    segment,
+    torque,
+)
 from db.schema.tables import head as head_table
 from service.ports.archive import LIVE, Cursor, ListPart
 from service.records.calibration import CalibrationMethod, Window
-from service.records.catalogue import LIVE_METHODS, Method
+from service.records.catalogue import Method
 from service.records.inputs import CalibrationActivation
 from service.records.levels.attitude import (
     STEP_DB,
@@ -262,13 +286,6 @@ def stored_numbers(connection: Connection, of: RowSeries, window: Window) -> Int
     return np.concatenate(found)
 
 
-def newest_sealed_us(connection: Connection, key: int) -> int:
-    """Return the epoch up to which live attitude may be sealed; before every epoch while none is."""
-    series = (RowSeries(key, attitude, LIVE, method.value) for method in LIVE_METHODS)
-    newest = (next(heads(connection, of.of_segments(), -(1 << 62), 1 << 62, newest_first=True), None) for of in series)
-    return max((head.last_epoch_us for head in newest if head is not None), default=-(1 << 62))
-
-
 def unsealed_positions(connection: Connection, of: RowSeries, wanted: set[Cursor]) -> set[Cursor]:
     """Return those of some (epoch, number) that are in the table of rows."""
     epoch, number = of.table.c.epoch_us, of.table.c.number
@@ -443,3 +460,105 @@ class AttitudeReader:
 def _of_run(run: ChunkRun) -> Iterator[_Consumed]:
     columns = (run.chunk.epochs_us, run.chunk.numbers, run.chunk.received_at_us)
     return starmap(_Consumed, zip(*(column[run.positions].tolist() for column in columns), strict=True))
+
+
+#: rows looked at at once
+_AT_ONCE = 10_000
+
+
+class PendingCount:
+    """Counter of pending rows, with what it knows to be complete."""
+
+    def __init__(self) -> None:
+        #: journal number up to which every row after the alignment has all results
+        self._complete: dict[tuple[int, int, tuple[str, ...]], int] = {}
+
+    def count(self, connection: Connection, cache: SegmentCache, key: int, methods: Sequence[Method]) -> int:
+        """Return how many rows after the newest alignment lack a result of one of the methods; 0 without one."""
+        newest = (
+            select(alignment.c.alignment_id, alignment.c.epoch_us)
+            .where(alignment.c.spacecraft_key == key)
+            .order_by(alignment.c.alignment_id.desc())
+            .limit(1)
+        )
+        aligned = connection.execute(newest).first()
+        if aligned is None or not methods:
+            return 0
+        names = tuple(sorted(method.value for method in methods))
+        known = (key, int(aligned.alignment_id), names)
+        number = connection.scalar(select(head_table.c.newest_number).where(head_table.c.spacecraft_key == key)) or 0
+        complete = self._complete.get(known)
+        if complete is None:
+            complete = _stored(connection, known)
+        # what retention has taken away is not awaited
+        epoch_us = max(aligned.epoch_us, kept_from_us(connection, key, "attitude") - 1)
+        of_rows = _lacking_rows(connection, key, epoch_us, complete, names)
+        lacking = [*of_rows, *_lacking_sealed(connection, cache, key, epoch_us, complete, names)]
+        first = min((int(numbers.min()) for numbers in lacking), default=None)
+        self._complete[known] = number if first is None else first - 1
+        return sum(map(len, lacking))
+
+    def store(self, connection: Connection, key: int) -> None:
+        """Store what is known to be complete of a spacecraft, for the first count after a start."""
+        for known, number in list(self._complete.items()):
+            if known[0] == key and number > _stored(connection, known):
+                is_it = (complete_mark.c.spacecraft_key == key, complete_mark.c.methods == ",".join(known[2]))
+                connection.execute(delete(complete_mark).where(*is_it))
+                values = {"spacecraft_key": key, "methods": ",".join(known[2]), "alignment_id": known[1]}
+                connection.execute(complete_mark.insert().values(**values, number=number))
+
+
+def _stored(connection: Connection, known: tuple[int, int, tuple[str, ...]]) -> int:
+    """Return the stored number of an alignment and methods, 0 where there is none."""
+    key, alignment_id, names = known
+    query = select(complete_mark.c.number).where(
+        complete_mark.c.spacecraft_key == key,
+        complete_mark.c.methods == ",".join(names),
+        complete_mark.c.alignment_id == alignment_id,
+    )
+    return connection.scalar(query) or 0
+
+
+def _lacking_rows(
+    connection: Connection, key: int, epoch_us: int, complete: int, names: Sequence[str]
+) -> Iterator[IntArray]:
+    """Yield the numbers of rows of the table of rows that lack a result, some of a day at a time."""
+    query = (
+        select(measurement.c.epoch_us, measurement.c.number)
+        .where(measurement.c.spacecraft_key == key, measurement.c.number > complete)
+        # the sum keeps the planner on the index by number, where only what has come since is read
+        .where(measurement.c.feeds, measurement.c.epoch_us + 0 > epoch_us)
+    )
+    for rows in connection.execute(query).partitions(_AT_ONCE):
+        epochs_us, numbers = np.array([tuple(row) for row in rows], dtype=np.int64).T
+        days = epochs_us // DAY_US
+        for day in np.unique(days).tolist():
+            its_us = epochs_us[days == day]
+            window = Window(int(its_us.min()), int(its_us.max()) + 1)
+            lacking = _lacking(connection, key, window, numbers[days == day], names)
+            if len(lacking):
+                yield lacking
+
+
+def _lacking_sealed(
+    connection: Connection, cache: SegmentCache, key: int, epoch_us: int, complete: int, names: Sequence[str]
+) -> Iterator[IntArray]:
+    """Yield the numbers of sealed rows that lack a result, segment by segment."""
+    for found in heads_of_numbers(connection, key, complete, MAX_NUMBER):
+        if found.last_epoch_us <= epoch_us or not found.feeding_count:
+            continue
+        chunk = read_chunk(connection, cache, found)
+        numbers = chunk.numbers[chunk.feeds & (chunk.epochs_us > epoch_us) & (chunk.numbers > complete)]
+        window = Window(found.first_epoch_us, found.last_epoch_us + 1)
+        lacking = _lacking(connection, key, window, numbers, names)
+        if len(lacking):
+            yield lacking
+
+
+def _lacking(connection: Connection, key: int, window: Window, numbers: IntArray, names: Sequence[str]) -> IntArray:
+    """Return those numbers of measurements of a window that lack a result."""
+    is_whole = np.ones(len(numbers), dtype=np.bool_)
+    for name in names:
+        held = stored_numbers(connection, RowSeries(key, attitude, LIVE, name), window)
+        is_whole &= np.isin(numbers, held)
+    return numbers[~is_whole]

@@ -317,9 +317,9 @@ def test_the_first_count_of_a_process_begins_where_the_last_one_ended(summed, ma
     results.mark_complete(summed.id, methods)
     head = summed.storage.archive.head(summed.id)
     looked = []
-    lacking = "db.results.pending._lacking_rows"
+    lacking = "db.results.stored_rows._lacking_rows"
     monkeypatch.setattr(lacking, lambda *arguments: looked.append(arguments[3]) or (0, None))
-    monkeypatch.setattr("db.results.pending._lacking_sealed", lambda *_: iter(()))
+    monkeypatch.setattr("db.results.stored_rows._lacking_sealed", lambda *_: iter(()))
     results._pending = type(results._pending)()
     assert results.pending(summed.id, methods) == 0
     assert looked == [head.newest_number]
