@@ -250,7 +250,7 @@ class ReplayRun:
                 made = [self._smoothed.push(outcome.rows) for outcome in each.outcomes]
                 yield _Passed(each.progress, [Outcome(tuple(rows), None) for rows in made if rows], None)
         if self._smoothed is not None:
-            yield _Passed(1.0, [Outcome((row,), None) for row in self._smoothed.rest()], None)
+            yield from (_Passed(1.0, [Outcome((row,), None)], None) for row in self._smoothed.rest())
 
     def _within(self, outcomes: Sequence[Outcome]) -> Iterator[Outcome]:
         """Yield the parts of outcomes that a replay keeps: rows of its span and method, and smoothed ones."""
