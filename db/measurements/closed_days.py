@@ -48,7 +48,7 @@ from db.schema.tables import (
     torque,
     trace,
 )
-from db.sealing import Change, Position, seal_day, sound_and_damaged
+from db.sealing import Change, seal_day
 from db.summaries import Bins, bins_of
 from service.records.levels.measurement import DETAIL_NAMES, Measurement
 from service.records.storage import RetiredRows, SealedPart
@@ -250,24 +250,14 @@ _C_N0 = "c_n0_db_hz"
 class MeasurementRows:
     """Measurements as they are sealed."""
 
-    def read(
-        self, connection: Connection, of: RowSeries, start_us: int, stop_us: int, limit: int
-    ) -> tuple[list[Measurement], list[Position]]:
-        """Return the first rows of a span of the table, by epoch, and the places of those that are damaged."""
-        epoch_us = measurement.c.epoch_us
-        query = select(measurement).where(*of.of_rows(), epoch_us >= start_us, epoch_us < stop_us)
-        rows = connection.execute(query.order_by(epoch_us).limit(limit)).all()
-        sound, damaged = sound_and_damaged(measurement, rows)
-        # a segment states its source once
-        return [measurement_of(row, "") for row in sound], damaged
-
     def sealed(self, connection: Connection, head: SegmentHead) -> list[Measurement]:
         """Return the rows of a segment; StorageError ``storage.corrupt``."""
         return read_chunk(connection, None, head).records(np.arange(head.row_count))
 
-    def columns_and_bins(self, of: RowSeries, rows: Sequence[Measurement]) -> tuple[dict[str, Any], Bins]:  # noqa: ARG002
+    def columns_and_bins(self, of: RowSeries, rows: Sequence[Any]) -> tuple[dict[str, Any], Bins]:  # noqa: ARG002
         """Return rows as the columns of a segment, and the bins of powers and of C/N0 in the order of the plan."""
-        columns = _columns(rows)
+        # a segment states its source once
+        columns = _columns([row if isinstance(row, Measurement) else measurement_of(row, "") for row in rows])
         c_n0_db_hz = columns.details[:, DETAIL_NAMES.index(_C_N0)]
         of_powers = bins_of("power_dbm", columns.epochs_us, columns.power_dbm)
         return measured_arrays(columns), of_powers | bins_of(_C_N0, columns.epochs_us, c_n0_db_hz)

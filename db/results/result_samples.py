@@ -31,7 +31,7 @@ from db.results.stored_rows import (
 )
 from db.schema.columns import Figure
 from db.schema.tables import attitude, measurement, segment, summary
-from db.sealing import Position, seal_day, sound_and_damaged
+from db.sealing import seal_day
 from db.summaries import Bins, bins_of, bins_within, next_row_us, seasons, stored_blobs
 from service.core.rows import Gap, History, RowState, StateRun, Stretch, StretchSearch, Summaries, joined_stretches
 from service.ports.archive import LIVE, Intervals, ListPart, SampledCarriers
@@ -327,19 +327,6 @@ def _exclusion(carrier: str, reason: str) -> RowState:
 
 class ResultRows:
     """Rows of results as they are sealed."""
-
-    def read(
-        self, connection: Connection, of: RowSeries, start_us: int, stop_us: int, limit: int
-    ) -> tuple[list[Any], list[Position]]:
-        """Return the first rows of a span of the table, whole epochs, and the places of those that are damaged."""
-        table = of.table
-        is_its = (*of.of_rows(), table.c.epoch_us >= start_us, table.c.epoch_us < stop_us)
-        query = select(table).where(*is_its).order_by(table.c.epoch_us, table.c.number).limit(limit)
-        rows: list[Any] = list(connection.execute(query).all())
-        if len(rows) == limit:
-            is_rest = (table.c.epoch_us == rows[-1].epoch_us, table.c.number > rows[-1].number)
-            rows += connection.execute(query.limit(None).where(*is_rest)).all()
-        return sound_and_damaged(table, rows)
 
     def sealed(self, connection: Connection, head: SegmentHead) -> list[Any]:
         """Return the rows of a segment; StorageError ``storage.corrupt``."""
