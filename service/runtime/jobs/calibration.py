@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
-from service.core.estimation.calibration.checks.turns import LONGEST_LAG_S
+from service.core.estimation.calibration.turns import LONGEST_LAG_S
 from service.errors import ConflictError, InvalidInputError
 from service.pipeline.alignment.alignment import AlignedPowers, align_methods
 from service.pipeline.calibration.geometry_calibration import calibrate_geometry
