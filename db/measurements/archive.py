@@ -12,7 +12,7 @@ from operator import attrgetter
 from typing import Any
 
 import numpy as np
-from sqlalchemy import ColumnElement, Connection, Row, Select, and_, func, or_, select, update
+from sqlalchemy import Connection, Row, Select, and_, bindparam, func, or_, select, update
 
 from db.database import Database, EpochSpan, add_entries, count_entries, lock_head, next_id, page_of, within
 from db.encoding.record_codec import decode, decode_all, decode_input, encode, kind_of
@@ -165,6 +165,16 @@ _SCAN_US = 15 * DAY_US
 #: kinds of slow inputs that stand at one epoch
 _POINT_KINDS = ("reference", "telemetry", "weather", "polarization")
 _POSITION = journal.c.start_us, journal.c.number
+_OF_NUMBERS = select(journal).where(
+    journal.c.spacecraft_key == bindparam("key"),
+    journal.c.number > bindparam("after"),
+    journal.c.number <= bindparam("upto"),
+)
+_KEY_RUNS = (
+    select(source_key_run)
+    .where(source_key_run.c.spacecraft_key == bindparam("key"))
+    .order_by(source_key_run.c.first_number)
+)
 
 
 class SqlArchive:
@@ -248,17 +258,14 @@ class SqlArchive:
     def _entries(
         self, connection: Connection, key: int, after: int, limit: int, *, is_compared: bool
     ) -> list[JournalEntry]:
-        """Return the entries with a number in (after, after + limit], in order."""
+        """Return the entries with a number in (after, after + limit], in order.
 
-        # numbers have no gap but that of retention, so the next entries are a range of numbers
-        def is_next(number: ColumnElement[int]) -> ColumnElement[bool]:
-            return and_(number > after, number <= after + limit)
-
-        slow = select(journal).where(journal.c.spacecraft_key == key, is_next(journal.c.number))
-        pages = self._pages(connection, key)
+        Numbers have no gap but that of retention, so the next entries are a range of numbers.
+        """
+        slow, pages = {"key": key, "after": after, "upto": after + limit}, self._pages(connection, key)
         rows = _with_keys(connection, pages, pages.of_numbers(after, after + limit, is_compared=is_compared))
         entries = [JournalEntry(row.number, row) for row in rows]
-        entries += _slow_entries(connection.execute(slow), is_compared=is_compared)
+        entries += _slow_entries(connection.execute(_OF_NUMBERS, slow), is_compared=is_compared)
         return sorted(entries, key=lambda entry: entry.number)
 
     def _next_number(self, connection: Connection, key: int, after: int) -> int | None:
@@ -480,8 +487,7 @@ def _with_keys(connection: Connection, pages: MeasurementPages, rows: Sequence[M
     if not rows:
         return []
     runs: dict[str, list[Any]] = {}
-    query = select(source_key_run).where(source_key_run.c.spacecraft_key == pages.key)
-    for run in connection.execute(query.order_by(source_key_run.c.first_number)):
+    for run in connection.execute(_KEY_RUNS, {"key": pages.key}):
         runs.setdefault(pages.names[run.source_key], []).append(run)
 
     def with_key(row: Measurement) -> Measurement:

@@ -9,7 +9,7 @@ from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
-from sqlalchemy import ColumnElement, Connection, Row, Select, func, select
+from sqlalchemy import ColumnElement, Connection, Row, Select, bindparam, func, select
 
 from db.database import Database, beyond, newest_rows, start_of_last, within
 from db.encoding.measurement_rows import ChunkRun, OrderedRows, details_of, end_us, measurement_of, powers_of
@@ -44,6 +44,13 @@ FULL: Columns = tuple(measurement.c)
 UNCHECKED: Columns = FULL[:-1]
 #: for places alone
 LIGHT: Columns = tuple(measurement.c[name] for name in ("epoch_us", "number", "delay_us", "source_key", "plan_id"))
+#: no bound of epochs: with one the planner goes through all rows in their order
+_OF_NUMBERS: Select[Any] = select(*FULL).where(
+    measurement.c.spacecraft_key == bindparam("key"),
+    measurement.c.number > bindparam("after"),
+    measurement.c.number <= bindparam("upto"),
+)
+_NAMES = select(source.c.source_key, source.c.name).where(source.c.spacecraft_key == bindparam("key"))
 
 
 class Chosen(NamedTuple):
@@ -188,10 +195,7 @@ class MeasurementPages:
 
     def of_numbers(self, after: int, upto: int, *, is_compared: bool) -> list[Measurement]:
         """Return the rows with a journal number in (after, upto], in no order."""
-        # no bound of epochs: with one the planner goes through all rows in their order
-        is_next = (measurement.c.spacecraft_key == self.key, measurement.c.number > after, measurement.c.number <= upto)
-        query: Select[Any] = select(*FULL).where(*is_next)
-        rows = self._connection.execute(query).all()
+        rows = self._connection.execute(_OF_NUMBERS, {"key": self.key, "after": after, "upto": upto}).all()
         if is_compared:
             sound_rows(measurement, rows)
         found = [measurement_of(row, self.names[row.source_key]) for row in rows]
@@ -306,8 +310,7 @@ class MeasurementPages:
     @cached_property
     def names(self) -> dict[int, str]:
         """Return the names of the sources."""
-        named = select(source.c.source_key, source.c.name).where(source.c.spacecraft_key == self.key)
-        return {row[0]: row[1] for row in self._connection.execute(named)}
+        return {row[0]: row[1] for row in self._connection.execute(_NAMES, {"key": self.key})}
 
     def _source_key(self, name: str) -> int:
         """Return the key of a source, 0, which no source has, for an unknown one."""
