@@ -10,7 +10,7 @@ from itertools import chain, count, repeat, zip_longest
 from typing import Any, NamedTuple
 
 import numpy as np
-from sqlalchemy import ColumnElement, Connection, Row, and_, func, select, update
+from sqlalchemy import ColumnElement, Connection, Row, and_, bindparam, func, select, update
 
 from db.connection.writer import insert_new
 from db.database import ALL_ROWS, Database, lock_head
@@ -51,6 +51,15 @@ from service.records.storage import Checkpoint, SealedResults
 _AXES = 3
 
 Result = AttitudeRow | TorqueCommand
+_ADVANCE = (
+    update(head)
+    .where(head.c.spacecraft_key == bindparam("key"))
+    .values(
+        consumed_number=bindparam("number"),
+        consumed_epoch_us=bindparam("epoch_us"),
+        result_sequence=bindparam("sequence"),
+    )
+)
 
 
 class Consumed(NamedTuple):
@@ -149,15 +158,8 @@ def _insert(
 def _advance(connection: Connection, key: int, state: Row[Any], consumed: Consumed, sequence: int) -> None:
     """Move the consumer's head, never back."""
     epochs_us = [epoch_us for epoch_us in (state.consumed_epoch_us, consumed.epoch_us) if epoch_us is not None]
-    connection.execute(
-        update(head)
-        .where(head.c.spacecraft_key == key)
-        .values(
-            consumed_number=max(state.consumed_number, consumed.number),
-            consumed_epoch_us=max(epochs_us, default=None),
-            result_sequence=sequence,
-        )
-    )
+    number, epoch_us = max(state.consumed_number, consumed.number), max(epochs_us, default=None)
+    connection.execute(_ADVANCE, {"key": key, "number": number, "epoch_us": epoch_us, "sequence": sequence})
 
 
 class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
