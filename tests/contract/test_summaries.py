@@ -318,7 +318,7 @@ def test_the_first_count_of_a_process_begins_where_the_last_one_ended(summed, ma
     head = summed.storage.archive.head(summed.id)
     looked = []
     lacking = "db.results.stored_rows._lacking_rows"
-    monkeypatch.setattr(lacking, lambda *arguments: looked.append(arguments[3]) or (0, None))
+    monkeypatch.setattr(lacking, lambda *arguments: looked.append(arguments[3]) or ())
     monkeypatch.setattr("db.results.stored_rows._lacking_sealed", lambda *_: iter(()))
     results._pending = type(results._pending)()
     assert results.pending(summed.id, methods) == 0
