@@ -34,7 +34,7 @@ from service.records.epoch import format_epoch, parse_epoch
 from service.records.inputs import AttitudeReference
 from service.records.levels.attitude import Axes
 from service.records.storage import sqlite_url
-from service.runtime.jobs.alignment_service import AlignmentRequest
+from service.runtime.jobs.calibration import AlignmentRequest
 from tests.fakes.drivers.busy_station import SC, Station
 from tests.fakes.worlds.geometry_flight import MINUTE, PERIOD_S, START_US, FlightPayload, S
 

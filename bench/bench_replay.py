@@ -27,6 +27,7 @@ from service.records.catalogue import Method
 from service.records.levels.measurement import Measurement
 from service.records.operations.work import Job, JobState, Replay
 from service.records.storage import sqlite_url
+from service.runtime.jobs.job_runner import calm_collector
 from service.runtime.jobs.replay import ReplayRun
 from tests.fakes.worlds.geometry_flight import HOUR, MINUTE, SC, START_US, FlightPayload
 
@@ -64,6 +65,8 @@ def measure(database: Path, rows: int) -> ReplayTimes:
     """Return the times of a replay of some rows."""
     with closing(SqlStorage(sqlite_url(str(database)))) as storage:
         _fill(storage, rows)
+        # as in the process of the jobs
+        calm_collector()
         config = ChainConfig()
         _replay(storage, config, 200)
         before_s = yardstick_s()

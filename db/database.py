@@ -87,14 +87,9 @@ class Database:
         with translated_faults(), self.engines.read.connect() as connection:
             yield connection
 
-    def submit(
-        self,
-        work: Callable[[Connection], Result],
-        reported: Callable[[Result], None] | None = None,
-        key: int | None = None,
-    ) -> Future[Result]:
-        """Queue a write; after its commit the result is reported, in the order of commits, and the future resolves."""
-        return self._writer.submit(work, reported, key)
+    def submit(self, work: Callable[[Connection], Result], key: int | None = None) -> Future[Result]:
+        """Queue a write; the future resolves after its commit."""
+        return self._writer.submit(work, key)
 
     def write(self, work: Callable[[Connection], Result], key: int | None = None) -> Result:
         """Do a write and wait for its commit; a request's first write takes the request's audit entry along.
@@ -326,6 +321,6 @@ def lock_audit_head(connection: Connection) -> AuditHead:
     query = select(audit_head).with_for_update()
     row = connection.execute(query).first()
     if row is None:
-        insert_new(connection, audit_head, [{"head_key": 1, "number": 0, "hash": GENESIS}])
+        insert_new(connection, audit_head, {"head_key": (1,), "number": (0,), "hash": (GENESIS,)})
         row = connection.execute(query).one()
     return AuditHead(row.number, row.hash)

@@ -8,16 +8,16 @@ segment. What was stored meanwhile stays in its table until the next look, which
 import logging
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
-from itertools import pairwise
+from itertools import compress, pairwise
 from typing import Any, NamedTuple, Protocol
 
-from sqlalchemy import Connection, Row, Table, and_, delete, or_, select, true, tuple_
+from sqlalchemy import Connection, and_, delete, or_, select, true, tuple_
 
 from db.database import Database, lock_head, position_of
 from db.encoding.column_blob import pack_columns
 from db.encoding.segments import DAY_US, RowSeries, SegmentHead, heads
-from db.schema.columns import is_sound
-from db.schema.tables import segment, summary
+from db.schema.columns import soundness
+from db.schema.tables import measurement, segment, summary
 from db.summaries import Bins
 from service.errors import StorageError
 from service.records.epoch import format_epoch
@@ -35,11 +35,6 @@ Position = tuple[int, int]
 
 class RowKind(Protocol):
     """Rows of a series: each has an epoch and a number."""
-
-    def read(
-        self, connection: Connection, of: RowSeries, start_us: int, stop_us: int, limit: int
-    ) -> tuple[list[Any], list[Position]]:
-        """Return the first rows of a span of the table, whole epochs, and the places of those that are damaged."""
 
     def sealed(self, connection: Connection, head: SegmentHead) -> list[Any]:
         """Return the rows of a segment; StorageError ``storage.corrupt``."""
@@ -90,7 +85,7 @@ def _next_change(database: Database, of: RowSeries, day: int, kind: RowKind) -> 
 
 def _prepared(connection: Connection, of: RowSeries, day: int, kind: RowKind) -> Change | None:
     start_us, stop_us, most = day * DAY_US, (day + 1) * DAY_US, SEGMENT_ROWS[of.table.name]
-    rows, damaged = kind.read(connection, of, start_us, stop_us, most)
+    rows, damaged = _read(connection, of, start_us, stop_us, most)
     if damaged and not (rows and len(damaged) <= _MOST_STAYING):
         # at the end, when nothing else is left
         _LOG.error(
@@ -107,6 +102,21 @@ def _prepared(connection: Connection, of: RowSeries, day: int, kind: RowKind) ->
     merged = fresh if target is None else sorted(fresh + kind.sealed(connection, target), key=position_of)
     written = tuple(_segment(of, day, part, kind) for part in _parts(merged, most))
     return Change(of, tuple(map(position_of, fresh)), None if target is None else target.segment_id, written)
+
+
+def _read(
+    connection: Connection, of: RowSeries, start_us: int, stop_us: int, limit: int
+) -> tuple[list[Any], list[Position]]:
+    """Return the first sound rows of a span of the table, whole epochs, and the places of those that are damaged."""
+    table = of.table
+    is_its = (*of.of_rows(), table.c.epoch_us >= start_us, table.c.epoch_us < stop_us)
+    query = select(table).where(*is_its).order_by(table.c.epoch_us, table.c.number).limit(limit)
+    rows: list[Any] = list(connection.execute(query).all())
+    if len(rows) == limit:
+        is_rest = (table.c.epoch_us == rows[-1].epoch_us, table.c.number > rows[-1].number)
+        rows += connection.execute(query.limit(None).where(*is_rest)).all()
+    sound = list(compress(rows, soundness(table, rows)))
+    return sound, sorted(set(map(position_of, rows)) - set(map(position_of, sound)))
 
 
 def _target(known: Sequence[SegmentHead], rows: Sequence[Any], most: int) -> tuple[SegmentHead | None, int | None]:
@@ -135,14 +145,14 @@ def _segment(of: RowSeries, day: int, rows: Sequence[Any], kind: RowKind) -> tup
     """Return the columns of a segment but its id and checksum, and what is summarised of it."""
     columns, bins = kind.columns_and_bins(of, rows)
     numbers = [row.number for row in rows]
-    sequences = [row.sequence for row in rows if getattr(row, "sequence", None) is not None]
+    sequences = [] if of.table is measurement else [row.sequence for row in rows if row.sequence is not None]
     values = {
         "spacecraft_key": of.key,
         "series": of.table.name,
         **dict(zip(RowSeries._fields[2:], of[2:], strict=True)),
         "day": day,
         "row_count": len(rows),
-        "feeding_count": sum(getattr(row, "feeds_estimator", False) for row in rows),
+        "feeding_count": int(columns["feeds"].sum()) if of.table is measurement else 0,
         "first_epoch_us": rows[0].epoch_us,
         "last_epoch_us": rows[-1].epoch_us,
         "first_number": min(numbers),
@@ -182,9 +192,3 @@ def carry_out(connection: Connection, change: Change) -> bool:
         if rows:
             connection.execute(summary.insert(), rows)
     return True
-
-
-def sound_and_damaged(table: Table, rows: Sequence[Row[Any]]) -> tuple[list[Row[Any]], list[Position]]:
-    """Return the rows of a table that are sound, and the places of the others."""
-    sound = [row for row in rows if is_sound(table, row)]
-    return sound, sorted(set(map(position_of, rows)) - set(map(position_of, sound)))

@@ -29,8 +29,7 @@ from service.records.levels.attitude import Axes
 from service.records.operations.work import JobKind, JobState, Replay
 from service.records.storage import sqlite_url
 from service.runtime.clock import SystemClock
-from service.runtime.jobs.alignment_service import Aligner, AlignmentRequest
-from service.runtime.jobs.calibration import CalibrationWork, Calibrator
+from service.runtime.jobs.calibration import Aligner, AlignmentRequest, CalibrationWork, Calibrator
 from service.runtime.jobs.job_runner import JobPieces, JobRunner, Work
 from service.runtime.jobs.replay import Replayer, replay_work
 from tests.fakes.worlds.geometry_flight import START_US as FLIGHT_US

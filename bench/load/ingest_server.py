@@ -18,12 +18,12 @@ import uvicorn
 
 from db.connection.engines import open_engines
 from db.encoding.segments import SegmentCache
-from db.measurements.ingest import StoreBatch
-from db.measurements.row_insert import PreparedBatch, prepare
-from service.api.server_process import StreamingServer, calm_collector
+from db.measurements.ingest import PreparedBatch, StoreBatch, prepare
+from service.api.server_process import StreamingServer
 from service.composition.bootstrap import build_app, build_storage
 from service.composition.settings import Settings
 from service.records.levels.measurement import BatchReceipt, MeasurementBatch
+from service.runtime.jobs.job_runner import calm_collector
 
 #: as many as the framework's own pool has
 THREADS = 40

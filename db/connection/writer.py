@@ -17,7 +17,7 @@ from sqlalchemy.engine import Dialect
 from sqlalchemy.exc import DBAPIError, OperationalError, SQLAlchemyError
 
 from db.connection.engines import storage_error
-from db.schema.columns import checksum_of
+from db.schema.columns import checksums_of
 from service.errors import StorageError
 
 
@@ -68,18 +68,19 @@ class _Insertion(NamedTuple):
     converted: tuple[Callable[[Any], Any] | None, ...]
 
 
-def insert_new(connection: Connection, table: Table, rows: Sequence[Mapping[str, Any]]) -> int:
-    """Insert rows of the same columns and return how many were new; those whose primary key exists stay as they are."""
-    if not rows:
+def insert_new(connection: Connection, table: Table, columns: Mapping[str, Sequence[Any]]) -> int:
+    """Insert rows by columns; return how many were new: those whose primary key exists stay as they are."""
+    if not len(next(iter(columns.values()))):
         return 0
-    named = [{**row, "checksum": checksum_of(table, row)} for row in rows] if "checksum" in table.c else rows
+    if "checksum" in table.c:
+        columns = {**columns, "checksum": checksums_of(table, columns)}
     dialect = connection.dialect
-    text, names, converted = _insertion(dialect, table, tuple(named[0]))
-    columns = (
-        [row[name] for row in named] if convert is None else [convert(row[name]) for row in named]
+    text, names, converted = _insertion(dialect, table, tuple(columns))
+    stored = (
+        columns[name] if convert is None else map(convert, columns[name])
         for name, convert in zip(names, converted, strict=True)
     )
-    values: Any = list(zip(*columns, strict=True))
+    values: Any = list(zip(*stored, strict=True))
     if not dialect.positional:
         values = [dict(zip(names, each, strict=True)) for each in values]
     return connection.exec_driver_sql(text, values, execution_options={"preserve_rowcount": True}).rowcount
@@ -107,13 +108,10 @@ _log = logging.getLogger(__name__)
 class _Task(Generic[Result]):
     """One function on its way through the queue."""
 
-    def __init__(
-        self, work: Callable[[Connection], Result], reported: Callable[[Result], None] | None, key: int | None
-    ) -> None:
+    def __init__(self, work: Callable[[Connection], Result], key: int | None) -> None:
         self.work = work
         #: of the spacecraft that alone is written; None = any
         self.key = key
-        self._reported = reported
         self.future: Future[Result] = Future()
         self.result: Result | None = None
         self.fault: BaseException | None = None
@@ -122,13 +120,8 @@ class _Task(Generic[Result]):
         """Resolve the caller's future with the result or the error."""
         if self.fault is not None:
             self.future.set_exception(_reported(self.fault))
-            return
-        try:
-            if self._reported is not None:
-                self._reported(self.result)  # type: ignore[arg-type]  # set by the work
-        except Exception:  # noqa: BLE001 the rows are stored, also where a subscriber fails
-            _log.exception("publishing stored rows failed; they are in the archive and are published from its journal")
-        self.future.set_result(self.result)  # type: ignore[arg-type]
+        else:
+            self.future.set_result(self.result)  # type: ignore[arg-type]  # set by the work
 
 
 class Writer:
@@ -151,19 +144,13 @@ class Writer:
         self._thread = Thread(target=self._serve, name="storage-writer", daemon=True)
         self._thread.start()
 
-    def submit(
-        self,
-        work: Callable[[Connection], Result],
-        reported: Callable[[Result], None] | None = None,
-        key: int | None = None,
-    ) -> Future[Result]:
+    def submit(self, work: Callable[[Connection], Result], key: int | None = None) -> Future[Result]:
         """Queue a function; its future resolves after the commit.
 
-        ``reported`` gets the result between commit and future, in the order of the commits; it must be quick. A
-        function that writes one spacecraft, under the lock of its head, names it by its key: writers of others, in
+        A function that writes one spacecraft, under the lock of its head, names it by its key: writers of others, in
         other processes, do not wait for it.
         """
-        task = _Task(work, reported, key)
+        task = _Task(work, key)
         with self._lock:
             if self._is_closed:
                 raise StorageError("storage.closed", "The archive is closing.")

@@ -118,7 +118,9 @@ def _numbers(name: str, array: Any) -> tuple[list[str], dict[str, Any]] | None:
     """
     pa = arrow()
     texts = array.to_pylist()
-    rows = [None if text is None else _NUMBER.split(text) for text in texts]
+    # most texts are one of a few
+    parts = {text: None if text is None else _NUMBER.split(text) for text in set(texts)}
+    rows = [parts[text] for text in texts]
     patterns = Counter(tuple(row[::2]) for row in rows if row is not None)
     around, times = patterns.most_common(1)[0] if patterns else ((), 0)
     if len(around) < 2 or 2 * times < len(texts) - array.null_count:

@@ -1,10 +1,10 @@
 """Records as columns of a row, and documents as JSON."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import MISSING
-from functools import cache
-from operator import attrgetter, itemgetter
+from functools import cache, lru_cache, partial
+from operator import attrgetter
 from typing import Any, Generic, TypeVar, cast
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
@@ -65,8 +65,8 @@ def _adapter(kind: Any) -> TypeAdapter[Any]:
 
 #: columns of a value
 Encode = Callable[[Any], tuple[Any, ...]]
-#: value of a stored row
-Decode = Callable[[Any], Any]
+#: values of stored columns
+Decode = Callable[..., Iterable[Any]]
 
 
 class RecordCodec(Generic[Record]):
@@ -89,24 +89,28 @@ class RecordCodec(Generic[Record]):
         self._encodes = [(attrgetter(f.name), column_names(f), encode) for f, encode in encodes if encode is not None]
         position_of = {name: position for position, name in enumerate(table.c.keys())}
         positions = [tuple(position_of[name] for name in column_names(field)) for field in fields]
-        self._first_columns = itemgetter(*(first for first, *_ in positions))
-        decodes = enumerate(map(_decode, fields, positions))
-        self._decodes = [(position, decode) for position, decode in decodes if decode is not None]
+        self._decodes = list(zip(map(_decode, fields), positions, strict=True))
 
-    def values(self, record: Record) -> dict[str, Any]:
-        """Return the columns of a record."""
-        values = dict(zip(self._plain_names, self._plain(record), strict=True))
+    def columns(self, records: Sequence[Record]) -> dict[str, Sequence[Any]]:
+        """Return records, at least one, as columns."""
+        columns: dict[str, Sequence[Any]] = dict(
+            zip(self._plain_names, zip(*map(self._plain, records), strict=True), strict=True)
+        )
         for get, names, encode_value in self._encodes:
-            values.update(zip(names, encode_value(get(record)), strict=True))
-        return values
+            columns.update(zip(names, zip(*map(encode_value, map(get, records)), strict=True), strict=True))
+        return columns
+
+    def records(self, rows: Sequence[Row[Any]]) -> list[Record]:
+        """Return the records of rows of the table, with all of its columns in their order."""
+        if not rows:
+            return []
+        columns = list(zip(*rows, strict=True))
+        values = (decode(*(columns[place] for place in places)) for decode, places in self._decodes)
+        return list(map(self._record, *values))
 
     def record(self, row: Row[Any]) -> Record:
-        """Return the record of a row of the table, with all of its columns in their order."""
-        stored = tuple(row)
-        values = list(self._first_columns(stored))
-        for position, decode_row in self._decodes:
-            values[position] = decode_row(stored)
-        return self._record(*values)
+        """Return the record of a row."""
+        return self.records([row])[0]
 
 
 def _plain_paths(field: RecordField) -> dict[str, str]:
@@ -125,7 +129,7 @@ def _encode(field: RecordField) -> Encode | None:
     if field.kind is FieldKind.AXIS_TRUTHS:
         return tuple
     text = _text_of(field)
-    if field.default is MISSING:
+    if field.default is MISSING or field.default != field.default:
         return None if text is None else lambda value: (text(value),)
     # most rows have the default
     same = text or (lambda value: value)
@@ -142,42 +146,51 @@ def _text_of(field: RecordField) -> Callable[[Any], str] | None:
     if field.kind is FieldKind.RECORD:
         return encode
     if field.kind is FieldKind.TEXTS or (field.kind is FieldKind.RECORDS and issubclass(content, tuple)):
-        # most rows have none
-        return lambda value: json.dumps(value) if value else "[]"
+        return _list_text
     return (lambda value: encode_all(content, value)) if field.kind is FieldKind.RECORDS else None
 
 
-def _decode(field: RecordField, positions: tuple[int, ...]) -> Decode | None:
-    """Return the function from a row to the value; None where the column holds it."""
-    get, content, first = itemgetter(*positions), field.content, positions[0]
+@lru_cache(maxsize=1024)
+def _list_text(texts: tuple[str | tuple[str, ...], ...]) -> str:
+    """Return texts, or records of texts, as JSON; most rows have one of a few."""
+    return json.dumps(texts)
+
+
+#: makes what `Axes._make` does of three values without a call of Python
+_axes_of = partial(tuple.__new__, Axes)
+
+
+def _decode(field: RecordField) -> Decode:
+    """Return the function from the columns of a field to its values."""
     match field.kind:
         case FieldKind.AXES if field.is_optional:
-            axes = itemgetter(*positions[1:])
-            return lambda row: Axes._make(axes(row)) if row[first] else None
+            return lambda has, *axes: (
+                _axes_of(each) if its else None for its, each in zip(has, zip(*axes, strict=True), strict=True)
+            )
         case FieldKind.AXES:
-            return lambda row: Axes._make(get(row))
+            return lambda *axes: map(_axes_of, zip(*axes, strict=True))
         case FieldKind.AXIS_TRUTHS:
-            return get
+            return zip
         case FieldKind.CHOICE:
-            return lambda row: content(row[first])
+            return partial(map, field.content)
         case _:
             pass
-    of_text = _value_of(field)
-    if field.default is MISSING:
-        return None if of_text is None else lambda row: of_text(row[first])
+    of_text, default = _value_of(field), field.default
+    if default is MISSING:
+        return partial(map, of_text) if of_text is not None else lambda column: column
     same = of_text or (lambda value: value)
-    return lambda row: field.default if (stored := row[first]) is None else same(stored)
+    return lambda column: (default if value is None else same(value) for value in column)
 
 
 def _value_of(field: RecordField) -> Callable[[str], Any] | None:
-    """Return the function that reads a value from JSON."""
+    """Return the function that reads a value from JSON; of texts most rows have one of a few."""
     content = field.content
     if field.kind is FieldKind.RECORD:
         return lambda text: decode(content, text)
     if field.kind is FieldKind.TEXTS:
-        return lambda text: tuple(json.loads(text))
+        return lru_cache(maxsize=1024)(lambda text: tuple(json.loads(text)))
     if field.kind is not FieldKind.RECORDS:
         return None
     if issubclass(content, tuple):
-        return lambda text: tuple(content(*each) for each in json.loads(text))
+        return lru_cache(maxsize=1024)(lambda text: tuple(content(*each) for each in json.loads(text)))
     return lambda text: decode_all(content, text)

@@ -8,19 +8,19 @@ rows, and for nobody else.
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
+from itertools import repeat, starmap
 from threading import Lock
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from sqlalchemy import Column, ColumnElement, Connection, Select, Table, and_, select, tuple_
+from sqlalchemy import Column, ColumnElement, Connection, Select, Table, and_, bindparam, select, tuple_
 
 from db.encoding.column_blob import ColumnBlob, decimals, levels_of
 from db.encoding.measurement_rows import (
     RowContent,
     StoredArrays,
     canonical,
-    measurement_of,
     row_content,
     stored_arrays,
 )
@@ -30,7 +30,7 @@ from db.schema.tables import segment as segment_table
 from service.errors import StorageError
 from service.records.epoch import US_PER_S, format_epoch
 from service.records.levels.attitude import BoolArray, IntArray
-from service.records.levels.measurement import DETAIL_NAMES, Float32Array, Measurement
+from service.records.levels.measurement import DETAIL_NAMES, CarrierDetails, Float32Array, Measurement
 
 DAY_US = 86_400 * US_PER_S
 #: bytes of unpacked rows that are kept for the next reader
@@ -207,22 +207,33 @@ class MeasurementSegment:
         """Return the content of a row."""
         return row_content(self.plan_id, self._arrays(position))
 
-    def record(self, position: int) -> Measurement:
-        """Return the row at a place."""
-        epoch_us, seq = int(self.epochs_us[position]), int(self._seqs[position])
-        place = (0, epoch_us, 0, int(self.numbers[position]), self.plan_id, None if seq < 0 else seq)
-        delay_us = int(self.received_at_us[position]) - epoch_us
-        claims = (bool(self._is_late[position]), bool(self.feeds[position]))
-        return measurement_of((*place, delay_us, *claims, *self._arrays(position)), self.source)
+    def records(self, positions: IntArray) -> list[Measurement]:
+        """Return the rows at some places."""
+        columns = (self.epochs_us, self.received_at_us, self.numbers, self._is_late, self.feeds, self._seqs)
+        epochs_us, received_at_us, numbers, is_late, feeds, seqs = (column[positions].tolist() for column in columns)
+        details = self.details()[positions]
+        has_details: BoolArray = np.any(~np.isnan(details), axis=(1, 2))
+        each = zip(
+            epochs_us,
+            received_at_us,
+            numbers,
+            repeat(self.source, len(positions)),
+            repeat(self.plan_id, len(positions)),
+            _rows_of(self.power_dbm()[positions], np.float64),
+            _rows_of(self.all_flags()[positions], np.int64, self._has_flags[positions]),
+            is_late,
+            feeds,
+            (None if seq < 0 else seq for seq in seqs),
+            (None if its is None else CarrierDetails(*its) for its in _rows_of(details, np.float64, has_details)),
+            strict=True,
+        )
+        return list(starmap(Measurement, each))
 
     def _arrays(self, position: int) -> StoredArrays:
         """Return the arrays of a row as the table of rows has them."""
         one = slice(position, position + 1)
-        return stored_arrays(self.power_dbm()[one], [self.flags(position)], self.details()[one])[0]
-
-    def flags(self, position: int) -> IntArray | None:
-        """Return the bit masks of a row, None when it has none."""
-        return self.all_flags()[position] if self._has_flags[position] else None
+        flags = self.all_flags()[position] if self._has_flags[position] else None
+        return stored_arrays(self.power_dbm()[one], [flags], self.details()[one])[0]
 
     def _levels(self, prefix: str) -> Float32Array:
         """Return levels of the carriers, (T, N), NaN where a carrier has no column."""
@@ -232,6 +243,17 @@ class MeasurementSegment:
             levels[int(name.removeprefix(prefix))] = levels_of(column)
         levels.setflags(write=False)
         return levels.T
+
+
+def _rows_of(
+    values: NDArray[Any], kind: type[np.generic], is_stated: BoolArray | None = None
+) -> Sequence[NDArray[Any] | None]:
+    """Return the rows of an array as read-only arrays, None where nothing is stated."""
+    if is_stated is not None and not is_stated.any():
+        return [None] * len(values)
+    rows = np.array(values, dtype=kind, order="C")
+    rows.setflags(write=False)
+    return list(rows) if is_stated is None else [row if its else None for row, its in zip(rows, is_stated, strict=True)]
 
 
 class SegmentCache:
@@ -303,10 +325,19 @@ def _paged(
         yield from page
 
 
+#: who follows a journal asks at every row: made once, a statement costs half
+_HEADS_OF_NUMBERS = (
+    select(*HEAD_COLUMNS)
+    .where(segment_table.c.spacecraft_key == bindparam("key"), segment_table.c.series == measurement.name)
+    .where(segment_table.c.last_number > bindparam("after"), segment_table.c.first_number <= bindparam("upto"))
+    .order_by(segment_table.c.segment_id)
+)
+
+
 def heads_of_numbers(connection: Connection, key: int, after: int, upto: int) -> list[SegmentHead]:
     """Return the heads of segments that may hold measurements of journal numbers in (after, upto]."""
-    numbers = (segment_table.c.last_number > after, segment_table.c.first_number <= upto)
-    return list(heads_where(connection, *of_measurements(key), *numbers))
+    numbers = {"key": key, "after": after, "upto": upto}
+    return [SegmentHead(*row) for row in connection.execute(_HEADS_OF_NUMBERS, numbers)]
 
 
 def read_chunk(connection: Connection, cache: SegmentCache | None, head: SegmentHead) -> MeasurementSegment:

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 from sqlalchemy import Connection, Integer, Table, func, select, text
 from sqlalchemy.exc import SQLAlchemyError
 
-import db.schema.layout  # noqa: F401 - brings every table along
+import db.schema.tables  # noqa: F401 - brings every table along
 from db.connection.engines import (
     COMPANIONS,
     Progress,
@@ -35,10 +35,8 @@ from db.connection.engines import (
     sha256_of,
     sqlite_path,
 )
-from db.maintenance.integrity_check import examine, examine_content
-from db.measurements.checksum_check import damage_of
-from db.schema.layout import LAYOUT, archive_layout, create_tables, layout_of, refusal
-from db.schema.tables import head, metadata, spacecraft
+from db.maintenance.integrity_check import damage_of, examine, examine_content
+from db.schema.tables import LAYOUT, archive_layout, create_tables, head, layout_of, metadata, refusal, spacecraft
 from service.records.storage import BackupError, Diagnosis, Manifest, SpacecraftCount, sqlite_url, worst
 
 _ROWS = 2000

@@ -1,4 +1,4 @@
-"""Doctor of an archive: what is wrong with it and what to do."""
+"""Doctor of an archive, what is wrong with it and what to do; an operator's tools of an archive, over one URL."""
 
 import os
 import shutil
@@ -11,6 +11,8 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from db.connection.engines import COMPANIONS, open_engines, reading_engine, sqlite_path, translated_faults
 from db.encoding.record_codec import decode, decode_all
+from db.maintenance.backup import Report as BackupReport
+from db.maintenance.backup import Restored, create_backup, restore_backup, verify_backup
 from db.maintenance.integrity_check import Report, examine, guarded
 from db.measurements.journal_heads import compared_heads
 from db.schema.tables import (
@@ -26,12 +28,13 @@ from db.schema.tables import (
 )
 from service.errors import StorageError
 from service.ports.archive import LIVE
+from service.ports.storage import Clock
 from service.records.calibration import Alignment, CalibrationRequest, CalibrationResult
 from service.records.catalogue import Carrier, Ephemeris, Spacecraft
 from service.records.epoch import US_PER_S, format_epoch
 from service.records.inputs import JournalHead
 from service.records.operations.alarms import Alarm
-from service.records.storage import Diagnosis
+from service.records.storage import Diagnosis, Manifest
 
 #: processor time of an entry, s: both methods and the torque for sixteen carriers, on a machine of two cores
 ENTRY_S = 1.5e-3
@@ -279,3 +282,43 @@ def _newest_receipt_us(connection: Connection) -> int:
         )
         newest.append(connection.scalar(query) or 0)
     return max(newest)
+
+
+class ArchiveTools:
+    """Tools of an operator for an archive, from outside of the service.
+
+    Parameters
+    ----------
+    url : str
+        The archive.
+    clock : Clock
+        Tells the present.
+    fingerprint : str
+        Of the checkpoints that fit this program.
+    """
+
+    def __init__(self, url: str, clock: Clock, fingerprint: str) -> None:
+        self.url = url
+        self._clock = clock
+        self._fingerprint = fingerprint
+
+    def stamp(self) -> str:
+        """Return the present as part of a name, to the second: 20261122T040302Z."""
+        text = format_epoch(self._clock.system_us())
+        return text.partition(".")[0].replace("-", "").replace(":", "") + "Z"
+
+    def create(self, folder: Path, report: BackupReport) -> Manifest:
+        """Make a backup; BackupError."""
+        return create_backup(self.url, folder, self._clock.system_us(), report)
+
+    def verify(self, folder: Path, report: BackupReport) -> list[Diagnosis]:
+        """Return the findings on a backup; BackupError."""
+        return verify_backup(folder, report)
+
+    def restore(self, folder: Path, report: BackupReport, *, may_replace: bool) -> Restored:
+        """Put a backup in the place of the archive; BackupError."""
+        return restore_backup(folder, self.url, self.stamp(), report, may_replace=may_replace)
+
+    def diagnose(self, report: Report, announced: Sequence[JournalHead] = ()) -> list[Diagnosis]:
+        """Return the findings on the archive, compared with logged heads of journals."""
+        return diagnose(self.url, self._clock.system_us(), report, announced, self._fingerprint)

@@ -1,10 +1,10 @@
-"""Check of an archive: rows, checksums, journal, summaries."""
+"""Check of an archive: rows, each compared with its checksum, journal, summaries."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import chain
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,17 +14,20 @@ from sqlalchemy.exc import SQLAlchemyError
 from db.database import Database
 from db.documents import damaged_documents
 from db.encoding.segments import SegmentHead, heads_where, of_measurements, read_chunk, series_of
-from db.measurements import sealing
-from db.measurements.checksum_check import checked_tables, document_damage
+from db.measurements.closed_days import MeasurementRows
 from db.operations.access import SqlAudit
-from db.results import result_sealing
+from db.results.result_samples import ResultRows
 from db.results.stored_rows import TABLES, read_results
-from db.schema.layout import LAYOUT, layout_of, refusal
+from db.schema.columns import row_name, soundness
 from db.schema.tables import (
+    LAYOUT,
     attitude,
     head,
     journal,
+    layout_of,
     measurement,
+    metadata,
+    refusal,
     retention_mark,
     segment,
     source,
@@ -41,9 +44,65 @@ from service.records.levels.attitude import IntArray
 from service.records.operations.access import findings
 from service.records.storage import Diagnosis
 
-_FETCH = 50_000
-#: numbers that a report names at most
+_CHECKED_AT_ONCE = 10_000
+#: rows of the table with the largest blobs that are held at once
+_SEGMENTS_AT_ONCE = 8
+#: rows, or numbers, that a report names at most
 _NAMED = 5
+
+
+class CheckedTable(NamedTuple):
+    """Comparison of the rows of one table."""
+
+    name: str
+    #: rows that agree with their checksum, rows that have none
+    agreeing: int
+    lacking: int
+    differing: int
+    #: the first of the rows that differ
+    named: tuple[str, ...]
+
+    def damage(self) -> str:
+        """Return in words which rows differ."""
+        more = f" and {self.differing - len(self.named)} more" if self.differing > len(self.named) else ""
+        return f"{self.differing} rows of {self.name} differ from their checksum: {'; '.join(self.named)}{more}"
+
+
+def checked_tables(connection: Connection) -> list[CheckedTable]:
+    """Compare every row of every table that has checksums; memory is that of some thousand rows."""
+    return [_checked(connection, table) for table in metadata.sorted_tables if "checksum" in table.c]
+
+
+def document_damage(name: str) -> str:
+    """Return in words that a document is damaged."""
+    return f"{name} differs from its digest"
+
+
+def damage_of(connection: Connection) -> list[str]:
+    """Return in words which rows and documents are damaged, also where the database refuses to read them."""
+    try:
+        rows = [table.damage() for table in checked_tables(connection) if table.differing]
+        return [*rows, *map(document_damage, damaged_documents(connection))]
+    except SQLAlchemyError as fault:
+        return [f"rows cannot be read: {getattr(fault, 'orig', fault)}"]
+
+
+def _checked(connection: Connection, table: Table) -> CheckedTable:
+    agreeing = lacking = differing = 0
+    named: list[str] = []
+    at_once = _SEGMENTS_AT_ONCE if table is segment else _CHECKED_AT_ONCE
+    options = {"stream_results": True, "max_row_buffer": at_once}
+    for rows in connection.execute(select(table), execution_options=options).partitions(at_once):
+        wrong = [row for row, is_sound in zip(rows, soundness(table, rows), strict=True) if not is_sound]
+        without = sum(row.checksum is None for row in rows)
+        lacking += without
+        differing += len(wrong)
+        agreeing += len(rows) - without - len(wrong)
+        named += [row_name(table, row) for row in wrong[: _NAMED - len(named)]]
+    return CheckedTable(table.name, agreeing, lacking, differing, tuple(named))
+
+
+_FETCH = 50_000
 
 
 @dataclass
@@ -205,7 +264,7 @@ def compare_summaries(connection: Connection, key: int, name: str) -> Iterator[D
     for series in (measurement, *TABLES.values()):
         its = list(heads_where(connection, segment.c.spacecraft_key == key, segment.c.series == series.name))
         for found in _evenly(its):
-            kind: RowKind = sealing.ROWS if series is measurement else result_sealing.ROWS
+            kind: RowKind = MeasurementRows() if series is measurement else ResultRows()
             try:
                 rows = kind.sealed(connection, found)
             except StorageError:

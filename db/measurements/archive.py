@@ -4,7 +4,7 @@ Storing slow inputs: references, corrections, telemetry, weather, polarisation, 
 """
 
 from bisect import bisect_right
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import replace
 from functools import partial
@@ -12,16 +12,16 @@ from operator import attrgetter
 from typing import Any
 
 import numpy as np
-from sqlalchemy import ColumnElement, Connection, Row, Select, and_, func, or_, select, update
+from sqlalchemy import Connection, Row, Select, and_, bindparam, func, or_, select, update
 
 from db.database import Database, EpochSpan, add_entries, count_entries, lock_head, next_id, page_of, within
 from db.encoding.record_codec import decode, decode_all, decode_input, encode, kind_of
 from db.encoding.segments import DAY_US, SegmentCache
-from db.measurements import power_samples, retention, sealing
-from db.measurements.ingest import StoreBatch
+from db.measurements import closed_days
+from db.measurements.closed_days import seal_measurements
+from db.measurements.ingest import StoreBatch, prepare
 from db.measurements.journal_heads import HEAD_COLUMNS, SOURCE_COLUMNS, head_states, journal_heads, source_state
-from db.measurements.measurement_pages import EVER, UNCHECKED, Chosen, MeasurementPages
-from db.measurements.row_insert import prepare
+from db.measurements.measurement_pages import EVER, UNCHECKED, Chosen, MeasurementPages, sampled_powers
 from db.schema.columns import sound_rows
 from db.schema.tables import carrier_plan, head, journal, operation, source, source_key_run
 from service.errors import InvalidInputError, NotFoundError
@@ -165,6 +165,16 @@ _SCAN_US = 15 * DAY_US
 #: kinds of slow inputs that stand at one epoch
 _POINT_KINDS = ("reference", "telemetry", "weather", "polarization")
 _POSITION = journal.c.start_us, journal.c.number
+_OF_NUMBERS = select(journal).where(
+    journal.c.spacecraft_key == bindparam("key"),
+    journal.c.number > bindparam("after"),
+    journal.c.number <= bindparam("upto"),
+)
+_KEY_RUNS = (
+    select(source_key_run)
+    .where(source_key_run.c.spacecraft_key == bindparam("key"))
+    .order_by(source_key_run.c.first_number)
+)
 
 
 class SqlArchive:
@@ -174,7 +184,6 @@ class SqlArchive:
         self._database = database
         #: carriers of the plans met; a stored plan never changes
         self._carriers: dict[tuple[int, int], tuple[str, ...]] = {}
-        self._listener: Callable[[MeasurementBatch, BatchReceipt], None] | None = None
 
     def append_measurements(self, batch: MeasurementBatch) -> Future[BatchReceipt]:
         """Store and journal the rows of a batch; the future resolves after the commit that made them durable."""
@@ -183,14 +192,7 @@ class SqlArchive:
         if sent != expected:
             detail = f"Plan {batch.plan_id} of {batch.spacecraft_id!r} has {expected} carriers, the rows have {sent}."
             raise InvalidInputError("value.count", detail)
-        work = StoreBatch(prepare(key, batch), self._database.segments)
-        listener = self._listener
-        reported = None if listener is None else partial(listener, batch)
-        return self._database.submit(work, reported, key)
-
-    def listen(self, listener: Callable[[MeasurementBatch, BatchReceipt], None] | None) -> None:
-        """Notify a listener of every batch right after its commit; None removes it."""
-        self._listener = listener
+        return self._database.submit(StoreBatch(prepare(key, batch), self._database.segments), key)
 
     def append_inputs(self, spacecraft_id: str, records: Sequence[SlowInput]) -> InputReceipt:
         """Store and journal slow inputs; same key, other content: refused ``input.conflict``."""
@@ -256,17 +258,14 @@ class SqlArchive:
     def _entries(
         self, connection: Connection, key: int, after: int, limit: int, *, is_compared: bool
     ) -> list[JournalEntry]:
-        """Return the entries with a number in (after, after + limit], in order."""
+        """Return the entries with a number in (after, after + limit], in order.
 
-        # numbers have no gap but that of retention, so the next entries are a range of numbers
-        def is_next(number: ColumnElement[int]) -> ColumnElement[bool]:
-            return and_(number > after, number <= after + limit)
-
-        slow = select(journal).where(journal.c.spacecraft_key == key, is_next(journal.c.number))
-        pages = self._pages(connection, key)
+        Numbers have no gap but that of retention, so the next entries are a range of numbers.
+        """
+        slow, pages = {"key": key, "after": after, "upto": after + limit}, self._pages(connection, key)
         rows = _with_keys(connection, pages, pages.of_numbers(after, after + limit, is_compared=is_compared))
         entries = [JournalEntry(row.number, row) for row in rows]
-        entries += _slow_entries(connection.execute(slow), is_compared=is_compared)
+        entries += _slow_entries(connection.execute(_OF_NUMBERS, slow), is_compared=is_compared)
         return sorted(entries, key=lambda entry: entry.number)
 
     def _next_number(self, connection: Connection, key: int, after: int) -> int | None:
@@ -342,7 +341,7 @@ class SqlArchive:
         """Yield the rows of a window in buckets that lie within one interval each; every row is in one of them."""
         key, chosen = self._database.key(spacecraft_id), Chosen(window, source)
         carriers_of = partial(self._carrier_ids, key)
-        return power_samples.sampled(self._database, key, chosen, intervals, carriers_of, figure)
+        return sampled_powers(self._database, key, chosen, intervals, carriers_of, figure)
 
     def plan_ids(self, spacecraft_id: str, window: Window) -> tuple[int, ...]:
         """Return the numbers of the carrier plans under which the rows of a window were stored, ascending."""
@@ -415,21 +414,21 @@ class SqlArchive:
 
     def seal(self, spacecraft_id: str, before_us: int, received_before_us: int) -> Iterator[SealedPart]:
         """Seal closed days, a transaction a step."""
-        return sealing.seal(self._database, self._database.key(spacecraft_id), before_us, received_before_us)
+        return seal_measurements(self._database, self._database.key(spacecraft_id), before_us, received_before_us)
 
     def drop_before(self, spacecraft_id: str, series: str, before_us: int) -> Iterator[RetiredRows]:
         """Drop the rows of a series of whole days before an epoch, a transaction a step."""
-        return retention.drop(self._database, self._database.key(spacecraft_id), series, before_us)
+        return closed_days.drop(self._database, self._database.key(spacecraft_id), series, before_us)
 
     def fitting_us(self, spacecraft_id: str, series: str, size_bytes: int) -> int | None:
         """Return from where on a series fits a size; None when all of it does."""
-        return retention.fitting_us(self._database, self._database.key(spacecraft_id), series, size_bytes)
+        return closed_days.fitting_us(self._database, self._database.key(spacecraft_id), series, size_bytes)
 
     def kept_from_us(self, spacecraft_id: str, series: str) -> int:
         """Return the epoch from which on a series is kept."""
         key = self._database.key(spacecraft_id)
         with self._database.read() as connection:
-            return retention.kept_from_us(connection, key, series)
+            return closed_days.kept_from_us(connection, key, series)
 
     def _pages(self, connection: Connection, key: int) -> MeasurementPages:
         return MeasurementPages(connection, self._database.segments, key)
@@ -488,8 +487,7 @@ def _with_keys(connection: Connection, pages: MeasurementPages, rows: Sequence[M
     if not rows:
         return []
     runs: dict[str, list[Any]] = {}
-    query = select(source_key_run).where(source_key_run.c.spacecraft_key == pages.key)
-    for run in connection.execute(query.order_by(source_key_run.c.first_number)):
+    for run in connection.execute(_KEY_RUNS, {"key": pages.key}):
         runs.setdefault(pages.names[run.source_key], []).append(run)
 
     def with_key(row: Measurement) -> Measurement:

@@ -3,17 +3,16 @@
 A page begins behind a cursor (epoch, number), which stays true whatever happens to the rows between two pages.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
 from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
-from sqlalchemy import ColumnElement, Connection, Row, Select, func, select
+from sqlalchemy import ColumnElement, Connection, Row, Select, bindparam, func, select
 
-from db.database import beyond, newest_rows, start_of_last, within
-from db.encoding.measurement_rows import details_of, measurement_of, powers_of
-from db.encoding.measurement_runs import ChunkRun, OrderedRows, end_us
+from db.database import Database, beyond, newest_rows, start_of_last, within
+from db.encoding.measurement_rows import ChunkRun, OrderedRows, details_of, end_us, measurement_of, powers_of
 from db.encoding.segments import (
     MeasurementSegment,
     SegmentCache,
@@ -26,7 +25,9 @@ from db.encoding.segments import (
 )
 from db.schema.columns import sound_rows
 from db.schema.tables import measurement, segment, source
-from service.ports.archive import Cursor, ListPart
+from db.summaries import bins_within, next_row_us, seasons
+from service.core.rows import Summaries
+from service.ports.archive import Cursor, Intervals, ListPart, MeasuredFigure, SampledPowers
 from service.records.calibration import Window
 from service.records.levels.attitude import BoolArray, IntArray
 from service.records.levels.measurement import DETAIL_NAMES, Float32Array, Measurement, MeasurementBlock
@@ -43,6 +44,13 @@ FULL: Columns = tuple(measurement.c)
 UNCHECKED: Columns = FULL[:-1]
 #: for places alone
 LIGHT: Columns = tuple(measurement.c[name] for name in ("epoch_us", "number", "delay_us", "source_key", "plan_id"))
+#: no bound of epochs: with one the planner goes through all rows in their order
+_OF_NUMBERS: Select[Any] = select(*FULL).where(
+    measurement.c.spacecraft_key == bindparam("key"),
+    measurement.c.number > bindparam("after"),
+    measurement.c.number <= bindparam("upto"),
+)
+_NAMES = select(source.c.source_key, source.c.name).where(source.c.spacecraft_key == bindparam("key"))
 
 
 class Chosen(NamedTuple):
@@ -81,9 +89,9 @@ class RowChunk:
         """Return one of the details, (T, N), NaN = not stated."""
         return details_of(self._columns["figures"], self._powers.shape[1])[:, DETAIL_NAMES.index(name)]
 
-    def record(self, position: int) -> Measurement:
-        """Return the row at a place."""
-        return measurement_of(self._rows[position], self.source)
+    def records(self, positions: IntArray) -> list[Measurement]:
+        """Return the rows at some places."""
+        return [measurement_of(self._rows[position], self.source) for position in positions.tolist()]
 
 
 class MeasurementPages:
@@ -187,17 +195,14 @@ class MeasurementPages:
 
     def of_numbers(self, after: int, upto: int, *, is_compared: bool) -> list[Measurement]:
         """Return the rows with a journal number in (after, upto], in no order."""
-        # no bound of epochs: with one the planner goes through all rows in their order
-        is_next = (measurement.c.spacecraft_key == self.key, measurement.c.number > after, measurement.c.number <= upto)
-        query: Select[Any] = select(*FULL).where(*is_next)
-        rows = self._connection.execute(query).all()
+        rows = self._connection.execute(_OF_NUMBERS, {"key": self.key, "after": after, "upto": upto}).all()
         if is_compared:
             sound_rows(measurement, rows)
         found = [measurement_of(row, self.names[row.source_key]) for row in rows]
         for head in heads_of_numbers(self._connection, self.key, after, upto):
             chunk = read_chunk(self._connection, self._cache, head)
             positions = np.flatnonzero((chunk.numbers > after) & (chunk.numbers <= upto))
-            found += [chunk.record(position) for position in positions.tolist()]
+            found += chunk.records(positions)
         return found
 
     def next_number(self, after: int) -> int | None:
@@ -215,7 +220,7 @@ class MeasurementPages:
         """Return the row of a source at an epoch."""
         window = Window(epoch_us, epoch_us + 1)
         runs = self.read(Chosen(window, self.names[source_key]), 1, None)
-        return runs[0].chunk.record(int(runs[0].positions[0])) if runs else None
+        return runs[0].records()[0] if runs else None
 
     def newest(self, chosen: Chosen) -> tuple[int, int, int] | None:
         """Return epoch, number and time of receipt of the row with the greatest (epoch, number)."""
@@ -305,8 +310,7 @@ class MeasurementPages:
     @cached_property
     def names(self) -> dict[int, str]:
         """Return the names of the sources."""
-        named = select(source.c.source_key, source.c.name).where(source.c.spacecraft_key == self.key)
-        return {row[0]: row[1] for row in self._connection.execute(named)}
+        return {row[0]: row[1] for row in self._connection.execute(_NAMES, {"key": self.key})}
 
     def _source_key(self, name: str) -> int:
         """Return the key of a source, 0, which no source has, for an unknown one."""
@@ -340,3 +344,41 @@ def _positions(chunk: MeasurementSegment, chosen: Chosen, after: Cursor | None, 
     epochs_us, numbers = chunk.epochs_us[positions], chunk.numbers[positions]
     is_beyond: BoolArray = (epochs_us > after[0]) | ((epochs_us == after[0]) & (numbers > after[1]))
     return positions[is_beyond]
+
+
+def sampled_powers(
+    database: Database,
+    key: int,
+    chosen: Chosen,
+    intervals: Intervals,
+    carriers_of: Callable[[int], Sequence[str]],
+    figure: MeasuredFigure = "power_dbm",
+) -> Iterator[SampledPowers]:
+    """Yield rows in buckets that lie within one interval each, a read transaction a season.
+
+    ``carriers_of`` gives the carriers of a plan.
+    """
+
+    def next_us(connection: Connection, epoch_us: int) -> int | None:
+        row = measurement.c
+        return next_row_us(connection, row.epoch_us, [row.spacecraft_key == key], of_measurements(key), epoch_us)
+
+    for connection, window in seasons(database, chosen.window, next_us):
+        pages, part = MeasurementPages(connection, database.segments, key), chosen._replace(window=window)
+        heads = pages.segments(part)
+        for plan_id in sorted({head.plan_id for head in heads}):
+            of_plan = [head for head in heads if head.plan_id == plan_id]
+            columns = slice(len(carriers_of(plan_id)))
+            buckets, rest = bins_within(connection, of_plan, figure, intervals, columns)
+            if buckets is not None:
+                yield SampledPowers(plan_id, buckets)
+            for head in rest:
+                yield SampledPowers(plan_id, _bucket(read_chunk(connection, None, head), figure))
+        for chunk in pages.read_unsealed(part):
+            yield SampledPowers(chunk.plan_id, _bucket(chunk, figure))
+
+
+def _bucket(chunk: RowChunk | MeasurementSegment, figure: MeasuredFigure) -> Summaries:
+    """Return the rows of a piece as buckets of their own."""
+    values = chunk.power_dbm() if figure == "power_dbm" else chunk.figure(figure)
+    return Summaries.of_rows(chunk.epochs_us, values)

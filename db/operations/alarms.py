@@ -10,7 +10,7 @@ from sqlalchemy.dialects import postgresql, sqlite
 
 from db.database import Repository, lock_head, page_of
 from db.encoding.record_codec import decode, encode
-from db.measurements.retention import LOGS_AT_ONCE
+from db.measurements.closed_days import LOGS_AT_ONCE
 from db.schema.columns import sound_rows
 from db.schema.tables import alarm as alarm_table
 from db.schema.tables import alarm_change, alarm_limits, alarm_memory

@@ -3,40 +3,40 @@
 Storing what the chain computed, in the transaction that moves the consumer's head.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from functools import partial
-from itertools import chain, zip_longest
+from itertools import chain, count, repeat, zip_longest
 from typing import Any, NamedTuple
 
 import numpy as np
-from sqlalchemy import ColumnElement, Connection, Row, and_, func, select, update
+from sqlalchemy import ColumnElement, Connection, Row, and_, bindparam, func, select, update
 
 from db.connection.writer import insert_new
-from db.database import ALL_ROWS, Database, lock_head, position_of
+from db.database import ALL_ROWS, Database, lock_head
 from db.encoding.segments import RowSeries
 from db.measurements.archive import store_inputs
-from db.results import result_sealing
-from db.results.attitude_reader import AttitudeReader, newest_computed
 from db.results.calibrations import SqlCalibrations
-from db.results.jobs import SqlJobs, checkpoints, store_checkpoint
-from db.results.pending import PendingCount
-from db.results.replays import SqlReplays, check_held, note_rows
-from db.results.result_samples import sampled_carriers, sampled_figures
-from db.results.state_history import state_history
+from db.results.jobs import SqlJobs, SqlReplays, check_held, checkpoints, note_rows, store_checkpoint
+from db.results.result_samples import sampled_carriers, sampled_figures, seal_results, state_history
 from db.results.stored_rows import (
+    AttitudeReader,
+    PendingCount,
+    attitude_columns,
     attitude_of,
-    attitude_values,
+    attitudes_of,
+    newest_computed,
     newest_row,
     next_sealed_sequence,
     numbers_where,
-    pack_carriers,
     sealed_of_sequences,
-    stored_positions,
+    sealed_positions,
     stored_rows,
+    torque_columns,
     torque_of,
-    torque_values,
+    torques_of,
     unpack_carriers,
+    unsealed_positions,
 )
 from db.schema.columns import sound_rows
 from db.schema.tables import attitude, head, torque
@@ -51,7 +51,15 @@ from service.records.storage import Checkpoint, SealedResults
 _AXES = 3
 
 Result = AttitudeRow | TorqueCommand
-ResultKey = tuple[Any, ...]
+_ADVANCE = (
+    update(head)
+    .where(head.c.spacecraft_key == bindparam("key"))
+    .values(
+        consumed_number=bindparam("number"),
+        consumed_epoch_us=bindparam("epoch_us"),
+        result_sequence=bindparam("sequence"),
+    )
+)
 
 
 class Consumed(NamedTuple):
@@ -71,15 +79,14 @@ def store_outcomes(
 ) -> int:
     """Store outcomes and return the last result sequence; runs in the writer's transaction."""
     state = lock_head(connection, key)
-    results = list(_results_of(outcomes))
+    results = [each for outcome in outcomes for each in _results_of(outcome)]
     if version != LIVE:
-        fresh = _fresh(connection, key, version, results)
-        inserted = _insert(connection, key, version, [(result, None) for result in fresh], _carriers(outcomes))
+        # rows that stand stay as they are, as `insert_new` says
+        inserted = _insert(connection, key, version, _fresh(connection, key, version, results), None)
         note_rows(connection, key, version, *inserted, checkpoint)
         return int(state.result_sequence)
     fresh = results if _are_new(results, state.consumed_number) else _fresh(connection, key, version, results)
-    numbered = list(zip(fresh, range(state.result_sequence + 1, 1 << 62), strict=False))
-    _insert(connection, key, version, numbered, _carriers(outcomes))
+    _insert(connection, key, version, fresh, int(state.result_sequence) + 1)
     applied = [outcome.applied for outcome in outcomes if outcome.applied is not None]
     if applied:
         store_inputs(connection, key, applied)
@@ -90,83 +97,69 @@ def store_outcomes(
     return sequence
 
 
-def _results_of(outcomes: Sequence[Outcome]) -> Iterator[Result]:
-    for outcome in outcomes:
-        yield from outcome.rows
-        if outcome.command is not None:
-            yield outcome.command
+def _results_of(outcome: Outcome) -> Iterator[tuple[Result, CarrierResults | None]]:
+    """Yield the results of a row, those of attitude with what is known of the carriers."""
+    yield from zip_longest(outcome.rows, outcome.carriers)
+    if outcome.command is not None:
+        yield outcome.command, None
 
 
-def _key_of(result: Result) -> ResultKey:
-    position = (result.epoch_us, result.number)
-    return (result.method.value, *position) if isinstance(result, AttitudeRow) else position
+def _key_of(result: Result) -> tuple[str, Cursor]:
+    return (result.method.value if isinstance(result, AttitudeRow) else ""), (result.epoch_us, result.number)
 
 
-def _are_new(results: list[Result], consumed_number: int) -> bool:
+def _are_new(results: Sequence[tuple[Result, Any]], consumed_number: int) -> bool:
     """Return whether no result is stored yet: results go in together with the consumer's position, each once."""
-    is_beyond = all(result.number > consumed_number for result in results)
-    return is_beyond and len(set(map(_key_of, results))) == len(results)
+    is_beyond = all(result.number > consumed_number for result, _ in results)
+    return is_beyond and len({_key_of(result) for result, _ in results}) == len(results)
 
 
-def _fresh(connection: Connection, key: int, version: str, results: list[Result]) -> list[Result]:
-    """Return those results that are not stored yet, each once."""
-    positions: dict[RowSeries, set[Cursor]] = {}
-    for result in results:
-        positions.setdefault(_series_of(key, version, result), set()).add(position_of(result))
-    stored = {of: stored_positions(connection, of, wanted) for of, wanted in positions.items()}
-    fresh: list[Result] = []
-    for result in results:
-        seen, position = stored[_series_of(key, version, result)], position_of(result)
-        if position not in seen:
-            seen.add(position)
-            fresh.append(result)
+def _fresh(
+    connection: Connection, key: int, version: str, results: Sequence[tuple[Result, CarrierResults | None]]
+) -> list[tuple[Result, CarrierResults | None]]:
+    """Return those results that are not stored yet, each once; of a row that was run again the first time counts."""
+    positions: dict[str, set[Cursor]] = {}
+    for result, _ in results:
+        method, position = _key_of(result)
+        positions.setdefault(method, set()).add(position)
+    stored: dict[str, set[Cursor]] = {}
+    for method, wanted in positions.items():
+        of = RowSeries(key, attitude if method else torque, version, method)
+        stored[method] = sealed_positions(connection, of, wanted)
+        if version == LIVE:
+            stored[method] |= unsealed_positions(connection, of, wanted)
+    fresh: list[tuple[Result, CarrierResults | None]] = []
+    for each in results:
+        method, position = _key_of(each[0])
+        if position not in stored[method]:
+            stored[method].add(position)
+            fresh.append(each)
     return fresh
-
-
-def _series_of(key: int, version: str, result: Result) -> RowSeries:
-    if isinstance(result, AttitudeRow):
-        return RowSeries(key, attitude, version, result.method.value)
-    return RowSeries(key, torque, version)
-
-
-def _carriers(outcomes: Sequence[Outcome]) -> dict[ResultKey, bytes | None]:
-    """Return what is stored of the carriers, by row; of a row that was run again it is that of the first time."""
-    # as the row itself: an alignment may run rows again whose results stand already
-    each = (zip_longest(outcome.rows, outcome.carriers) for outcome in reversed(outcomes))
-    found = chain.from_iterable(each)
-    return {_key_of(row): None if results is None else pack_carriers(results) for row, results in found}
 
 
 def _insert(
     connection: Connection,
     key: int,
     version: str,
-    numbered: Sequence[tuple[Result, int | None]],
-    carriers: Mapping[ResultKey, bytes | None],
+    results: Sequence[tuple[Result, CarrierResults | None]],
+    sequence: int | None,
 ) -> tuple[int, int]:
-    """Insert results and return how many rows of attitude and of torque were new."""
-    rows: list[dict[str, Any]] = []
-    commands: list[dict[str, Any]] = []
-    for result, sequence in numbered:
-        if isinstance(result, AttitudeRow):
-            rows.append({**attitude_values(key, version, result, sequence), "carriers": carriers.get(_key_of(result))})
-        else:
-            commands.append(torque_values(key, version, result, sequence))
-    return insert_new(connection, attitude, rows), insert_new(connection, torque, commands)
+    """Insert results, numbered from a sequence on; return how many rows of attitude and of torque were new."""
+    sequences = repeat(None) if sequence is None else count(sequence)
+    numbered = list(zip(results, sequences, strict=False))
+    rows = [(result, number, carriers) for (result, carriers), number in numbered if isinstance(result, AttitudeRow)]
+    commands = [(result, number) for (result, _), number in numbered if isinstance(result, TorqueCommand)]
+    return (
+        insert_new(connection, attitude, attitude_columns(key, version, *zip(*rows, strict=True))) if rows else 0,
+        insert_new(connection, torque, torque_columns(key, version, *zip(*commands, strict=True))) if commands else 0,
+    )
 
 
 def _advance(connection: Connection, key: int, state: Row[Any], consumed: Consumed, sequence: int) -> None:
     """Move the consumer's head, never back."""
     epochs_us = [epoch_us for epoch_us in (state.consumed_epoch_us, consumed.epoch_us) if epoch_us is not None]
-    connection.execute(
-        update(head)
-        .where(head.c.spacecraft_key == key)
-        .values(
-            consumed_number=max(state.consumed_number, consumed.number),
-            consumed_epoch_us=max(epochs_us, default=None),
-            result_sequence=sequence,
-        )
-    )
+    number, epoch_us = max(state.consumed_number, consumed.number), max(epochs_us, default=None)
+    connection.execute(_ADVANCE, {"key": key, "number": number, "epoch_us": epoch_us, "sequence": sequence})
 
 
 class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
@@ -229,7 +222,7 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
     def attitude_rows(self, spacecraft_id: str, version: str, method: Method, part: ListPart) -> list[AttitudeRow]:
         """Return rows in order of (epoch, number of the measurement) beyond a cursor.
 
-        The live version has exactly one row a consumed measurement: ``db.results.attitude_reader`` fills in rows that
+        The live version has exactly one row a consumed measurement: ``db.results.stored_rows`` fills in rows that
         were not computed.
         """
         key = self._database.key(spacecraft_id)
@@ -240,7 +233,7 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
             of = RowSeries(key, attitude, version, method.value)
             rows = stored_rows(connection, of, part)
             check_held(connection, key, version)
-        return [attitude_of(row) for row in rows]
+        return attitudes_of(rows)
 
     def carrier_results(
         self, spacecraft_id: str, version: str, method: Method, window: Window
@@ -296,7 +289,7 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
             of = RowSeries(key, torque, version)
             rows = stored_rows(connection, of, part)
             check_held(connection, key, version)
-        return [torque_of(row) for row in rows]
+        return torques_of(rows)
 
     def newest_command(self, spacecraft_id: str, version: str) -> TorqueCommand | None:
         """Return the newest computed command."""
@@ -352,7 +345,7 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
 
     def seal(self, spacecraft_id: str, before_us: int) -> Iterator[SealedResults]:
         """Seal the results of closed days, a transaction a step."""
-        return result_sealing.seal(self._database, self._database.key(spacecraft_id), before_us)
+        return seal_results(self._database, self._database.key(spacecraft_id), before_us)
 
 
 def _alignments_after(connection: Connection, key: int, epoch_us: int) -> tuple[IntArray, IntArray]:

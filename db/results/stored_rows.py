@@ -1,24 +1,60 @@
-"""Rows of results as stored: in tables, in the segments of sealed days, and as records; carriers' results as bytes."""
+"""Rows of results as stored: in tables, in the segments of sealed days, and as records; carriers' results as bytes.
+
+The live version has one row a consumed measurement, whether or not anything was computed for it: the chain stores none
+for a measurement that it consumed before a method had a calibration and an alignment. Such rows are made here, on
+reading, with the reason that held when the measurement was consumed: journal numbers tell which activations stood
+before it.
+
+Which measurements lack a result is counted here too. Results are never taken away, so rows once found complete stay
+complete: below a journal number that is remembered for each alignment and method nothing has to be counted again, and
+the count costs what has come since.
+"""
 
 import math
-import struct
 from collections import namedtuple
-from collections.abc import Iterator
-from functools import cache, partial
-from typing import Any
+from collections.abc import Iterator, Sequence
+from functools import cache, cached_property, partial
+from itertools import starmap
+from typing import Any, NamedTuple
 
 import numpy as np
-from sqlalchemy import Connection, Table, and_, func, select
+from numpy.typing import NDArray
+from sqlalchemy import Connection, Table, and_, delete, func, select
 
-from db.database import newest_rows, page_of, position_of, start_of_last, within
+from db.database import ALL_ROWS, newest_rows, page_of, position_of, start_of_last, within
 from db.encoding.column_blob import ColumnBlob, Positions
-from db.encoding.record_codec import RecordCodec
-from db.encoding.segments import RowSeries, SegmentHead, heads, heads_where, opened
+from db.encoding.measurement_rows import ChunkRun
+from db.encoding.record_codec import RecordCodec, decode
+from db.encoding.segments import (
+    DAY_US,
+    RowSeries,
+    SegmentCache,
+    SegmentHead,
+    heads,
+    heads_of_numbers,
+    heads_where,
+    opened,
+    read_chunk,
+)
+from db.measurements.closed_days import kept_from_us
+from db.measurements.measurement_pages import EVER, LIGHT, MAX_NUMBER, Chosen, MeasurementPages
 from db.schema.columns import Figure, sound_rows
-from db.schema.tables import attitude, segment, torque
+from db.schema.tables import (
+    alignment,
+    attitude,
+    calibration,
+    complete_mark,
+    journal,
+    measurement,
+    retention_mark,
+    segment,
+    torque,
+)
+from db.schema.tables import head as head_table
 from service.ports.archive import LIVE, Cursor, ListPart
-from service.records.calibration import Window
-from service.records.catalogue import LIVE_METHODS
+from service.records.calibration import CalibrationMethod, Window
+from service.records.catalogue import Method
+from service.records.inputs import CalibrationActivation
 from service.records.levels.attitude import (
     STEP_DB,
     AttitudeRow,
@@ -27,46 +63,91 @@ from service.records.levels.attitude import (
     FloatArray,
     IntArray,
     TorqueCommand,
+    row_without_attitude,
 )
 
 _ATTITUDE, _TORQUE = RecordCodec(AttitudeRow, attitude), RecordCodec(TorqueCommand, torque)
 #: record of a row of ``select(attitude)``, or of ``select(torque)``
 attitude_of, torque_of = _ATTITUDE.record, _TORQUE.record
+#: of many
+attitudes_of, torques_of = _ATTITUDE.records, _TORQUE.records
 
 
-def attitude_values(key: int, version: str, row: AttitudeRow, sequence: int | None) -> dict[str, Any]:
-    """Return the columns of an attitude row."""
-    return {"spacecraft_key": key, "version": version, "sequence": sequence, **_ATTITUDE.values(row)}
+def attitude_columns(
+    key: int,
+    version: str,
+    rows: Sequence[AttitudeRow],
+    sequences: Sequence[int | None],
+    carriers: Sequence[CarrierResults | None],
+) -> dict[str, Sequence[Any]]:
+    """Return the columns of attitude rows, at least one."""
+    kind = {"spacecraft_key": (key,) * len(rows), "version": (version,) * len(rows), "sequence": sequences}
+    return {**kind, **_ATTITUDE.columns(rows), "carriers": pack_carriers(carriers)}
 
 
-def torque_values(key: int, version: str, command: TorqueCommand, sequence: int | None) -> dict[str, Any]:
-    """Return the columns of a torque command."""
-    return {"spacecraft_key": key, "version": version, "sequence": sequence, **_TORQUE.values(command)}
+def torque_columns(
+    key: int, version: str, commands: Sequence[TorqueCommand], sequences: Sequence[int | None]
+) -> dict[str, Sequence[Any]]:
+    """Return the columns of torque commands, at least one."""
+    count = len(commands)
+    kind = {"spacecraft_key": (key,) * count, "version": (version,) * count, "sequence": sequences}
+    return {**kind, **_TORQUE.columns(commands)}
 
 
 #: of a level: absent, and the greatest
 _NONE, _MOST = -(1 << 15), (1 << 15) - 1
-_PLAN = struct.Struct("<i")
-_CARRIER_BYTES = 5
 _STATE_BITS = 4
 
 
-def pack_carriers(results: CarrierResults) -> bytes:
-    """Return the results of a row as bytes."""
-    words = (results.state | results.hypothesis << _STATE_BITS).astype(np.uint8)
-    steps = np.rint(np.concatenate((results.deviation_db, results.residual_db)) / STEP_DB)
-    levels = np.where(np.isnan(steps), _NONE, np.minimum(np.maximum(steps, -_MOST), _MOST)).astype("<i2")
-    return b"".join((_PLAN.pack(results.plan_id), levels.tobytes(), words.tobytes()))
+def _carrier_type(count: int) -> np.dtype[Any]:
+    """Return the type of the results of a row: its plan, levels of both kinds, state and hypothesis in one word."""
+    return np.dtype([("plan", "<i4"), ("levels", "<i2", (2, count)), ("words", "u1", (count,))])
+
+
+def pack_carriers(results: Sequence[CarrierResults | None]) -> list[bytes | None]:
+    """Return the results of rows as bytes; None stays None."""
+    by_plan: dict[tuple[int, int], list[int]] = {}
+    for position, each in enumerate(results):
+        if each is not None:
+            by_plan.setdefault((each.plan_id, len(each.state)), []).append(position)
+    packed: list[bytes | None] = [None] * len(results)
+    for (plan_id, count), positions in by_plan.items():
+        its = [each for position in positions if (each := results[position]) is not None]
+        steps = np.rint(np.array([(each.deviation_db, each.residual_db) for each in its]) / STEP_DB)
+        words = np.array([each.state for each in its]) | np.array([each.hypothesis for each in its]) << _STATE_BITS
+        rows = np.empty(len(its), dtype=_carrier_type(count))
+        rows["plan"], rows["words"] = plan_id, words
+        rows["levels"] = np.where(np.isnan(steps), _NONE, np.minimum(np.maximum(steps, -_MOST), _MOST))
+        whole, size = rows.tobytes(), rows.itemsize
+        for place, position in enumerate(positions):
+            packed[position] = whole[place * size : (place + 1) * size]
+    return packed
 
 
 def unpack_carriers(blob: bytes) -> CarrierResults:
     """Return the results of a row."""
-    count = (len(blob) - _PLAN.size) // _CARRIER_BYTES
-    levels = np.frombuffer(blob, dtype="<i2", count=2 * count, offset=_PLAN.size).reshape(2, count)
-    values: FloatArray = np.where(levels == _NONE, np.nan, levels * STEP_DB)
-    words: IntArray = np.frombuffer(blob, dtype=np.uint8, offset=_PLAN.size + 4 * count).astype(np.int64)
-    low = (1 << _STATE_BITS) - 1
-    return CarrierResults(_PLAN.unpack_from(blob)[0], values[0], values[1], words & low, words >> _STATE_BITS)
+    row, low = _carrier_rows([blob])[0], (1 << _STATE_BITS) - 1
+    deviation_db, residual_db = np.where(row["levels"] == _NONE, np.nan, row["levels"] * STEP_DB)
+    words = row["words"].astype(np.int64)
+    return CarrierResults(int(row["plan"]), deviation_db, residual_db, words & low, words >> _STATE_BITS)
+
+
+def carrier_steps(blobs: Sequence[bytes]) -> FloatArray:
+    """Return deviations and residuals of rows of one plan, (T, 2 N) steps of ``STEP_DB``, NaN = absent."""
+    levels = _carrier_rows(blobs)["levels"].reshape(len(blobs), -1)
+    return np.where(levels == _NONE, np.nan, levels)
+
+
+def _carrier_rows(blobs: Sequence[bytes]) -> NDArray[Any]:
+    """Return the results of rows of one plan as `_carrier_type`."""
+    fixed = _carrier_type(0).itemsize
+    count = (len(blobs[0]) - fixed) // (_carrier_type(1).itemsize - fixed)
+    return np.frombuffer(b"".join(blobs), dtype=_carrier_type(count))
+
+
+def plan_of_carriers(blob: bytes) -> int:
+    """Return the plan of the results of a row."""
+    return int.from_bytes(blob[:4], "little", signed=True)
 
 
 #: columns of the tables that the head of a segment states, or that are made from the others
@@ -205,22 +286,21 @@ def stored_numbers(connection: Connection, of: RowSeries, window: Window) -> Int
     return np.concatenate(found)
 
 
-def newest_sealed_us(connection: Connection, key: int) -> int:
-    """Return the epoch up to which live attitude may be sealed; before every epoch while none is."""
-    series = (RowSeries(key, attitude, LIVE, method.value) for method in LIVE_METHODS)
-    newest = (next(heads(connection, of.of_segments(), -(1 << 62), 1 << 62, newest_first=True), None) for of in series)
-    return max((head.last_epoch_us for head in newest if head is not None), default=-(1 << 62))
-
-
-def stored_positions(connection: Connection, of: RowSeries, wanted: set[Cursor]) -> set[Cursor]:
-    """Return those of some (epoch, number), at least one, that are stored."""
+def unsealed_positions(connection: Connection, of: RowSeries, wanted: set[Cursor]) -> set[Cursor]:
+    """Return those of some (epoch, number) that are in the table of rows."""
     epoch, number = of.table.c.epoch_us, of.table.c.number
     # by epoch alone: for pairs SQLite goes through every row of the series
     epochs_us, found = sorted({each[0] for each in wanted}), set[Cursor]()
     for start in range(0, len(epochs_us), _LOOKUP):
         query = select(epoch, number).where(*of.of_rows(), epoch.in_(epochs_us[start : start + _LOOKUP]))
         found |= wanted.intersection((row[0], row[1]) for row in connection.execute(query))
-    for head in heads(connection, of.of_segments(), epochs_us[0], epochs_us[-1] + 1):
+    return found
+
+
+def sealed_positions(connection: Connection, of: RowSeries, wanted: set[Cursor]) -> set[Cursor]:
+    """Return those of some (epoch, number), at least one, that are sealed."""
+    found = set[Cursor]()
+    for head in heads(connection, of.of_segments(), min(wanted)[0], max(wanted)[0] + 1):
         each = read_results(connection, head)
         found |= wanted.intersection(zip(each.epochs_us.tolist(), each.numbers.tolist(), strict=True))
     return found
@@ -257,3 +337,228 @@ def numbers_where(
         is_later: BoolArray = each.epochs_us > after_us
         values = each.values(name)
         yield each.numbers[is_later], [values[position] for position in np.flatnonzero(is_later).tolist()]
+
+
+def newest_computed(connection: Connection, key: int, method: Method) -> AttitudeRow | None:
+    """Return the newest stored row of a method where it is the row of the newest consumed measurement.
+
+    One statement; None says that an `AttitudeReader` must search.
+    """
+    mark = select(retention_mark.c.kept_from_us).where(
+        retention_mark.c.spacecraft_key == key, retention_mark.c.series == "attitude"
+    )
+    is_newest = attitude.c.epoch_us >= head_table.c.consumed_epoch_us
+    is_kept = attitude.c.epoch_us >= func.coalesce(mark.scalar_subquery(), attitude.c.epoch_us)
+    query = (
+        select(attitude, and_(is_newest, is_kept).label("is_answer"))
+        .where(attitude.c.spacecraft_key == key, attitude.c.version == LIVE, attitude.c.method == method.value)
+        .join(head_table, head_table.c.spacecraft_key == attitude.c.spacecraft_key)
+        .order_by(attitude.c.epoch_us.desc(), attitude.c.number.desc())
+    )
+    row = next(iter(sound_rows(attitude, connection.execute(query.limit(1)))), None)
+    return attitude_of(row) if row is not None and row.is_answer else None
+
+
+class _Consumed(NamedTuple):
+    """A consumed measurement."""
+
+    epoch_us: int
+    number: int
+    received_at_us: int
+
+
+class AttitudeReader:
+    """Reader of the live attitude of one method within one read transaction."""
+
+    def __init__(self, connection: Connection, cache: SegmentCache, key: int, method: Method) -> None:
+        self._connection = connection
+        self._pages = MeasurementPages(connection, cache, key)
+        self._key = key
+        self._method = method
+        self._stored = RowSeries(key, attitude, LIVE, method.value)
+        self._measured_from_us = kept_from_us(connection, key, "measurements")
+
+    def rows(self, part: ListPart) -> list[AttitudeRow]:
+        """Return the rows of a part of the list."""
+        start_us = max(part.window.start_us, kept_from_us(self._connection, self._key, "attitude"))
+        # of measurements that retention took away the attitude alone is left
+        left = Window(start_us, min(part.window.stop_us, self._measured_from_us))
+        rest = Window(max(start_us, self._measured_from_us), part.window.stop_us)
+        pieces = [(left, self._left), (rest, self._measured)]
+        found: list[AttitudeRow] = []
+        for window, read in pieces[::-1] if part.newest_first else pieces:
+            if len(found) < part.limit and window.start_us < window.stop_us:
+                found += read(part._replace(window=window, limit=part.limit - len(found)))
+        return found
+
+    def newest(self) -> AttitudeRow | None:
+        """Return the row with the greatest epoch."""
+        begin_us = max(kept_from_us(self._connection, self._key, "attitude"), self._measured_from_us)
+        newest = self._pages.newest(self._consumed(Window(begin_us, EVER.stop_us)))
+        if newest is not None:
+            return self._records([_Consumed(*newest)])[0]
+        row = newest_row(self._connection, self._stored, self._measured_from_us)
+        return None if row is None else attitude_of(row)
+
+    def _left(self, part: ListPart) -> list[AttitudeRow]:
+        return attitudes_of(stored_rows(self._connection, self._stored, part))
+
+    def _measured(self, part: ListPart) -> list[AttitudeRow]:
+        if part.newest_first:
+            return newest_rows(self._measured, self._start_of_newest, part)
+        runs = self._pages.read(self._consumed(part.window), part.limit, part.after, columns=LIGHT)
+        return self._records([measurement for run in runs for measurement in _of_run(run)])
+
+    def _start_of_newest(self, window: Window, count: int) -> int:
+        return self._pages.start_of_newest(self._consumed(window), count)
+
+    def _consumed(self, window: Window) -> Chosen:
+        """Return the selection of the measurements that the chain has consumed."""
+        number = self._connection.scalar(
+            select(head_table.c.consumed_number).where(head_table.c.spacecraft_key == self._key)
+        )
+        return Chosen(window, feeds_only=True, before_number=(number or 0) + 1)
+
+    def _records(self, measurements: Sequence[_Consumed]) -> list[AttitudeRow]:
+        if not measurements:
+            return []
+        window = Window(measurements[0].epoch_us, measurements[-1].epoch_us + 1)
+        rows = attitudes_of(stored_rows(self._connection, self._stored, ListPart(window, ALL_ROWS)))
+        stored = {position_of(row): row for row in rows}
+        return [
+            stored.get((measurement.epoch_us, measurement.number)) or self._without_attitude(measurement)
+            for measurement in measurements
+        ]
+
+    def _without_attitude(self, measurement: _Consumed) -> AttitudeRow:
+        is_calibrated = self._calibrated_number is not None and self._calibrated_number < measurement.number
+        inhibition = "not_aligned" if is_calibrated else "no_calibration"
+        return row_without_attitude(
+            measurement.epoch_us, measurement.received_at_us, measurement.number, self._method, (inhibition,)
+        )
+
+    @cached_property
+    def _calibrated_number(self) -> int | None:
+        """Return the number of the activation from which on the method had a calibration."""
+        held = select(calibration.c.calibration_id, calibration.c.method)
+        methods = {
+            row[0]: row[1] for row in self._connection.execute(held.where(calibration.c.spacecraft_key == self._key))
+        }
+        activations = (
+            select(journal.c.number, journal.c.document)
+            .where(journal.c.spacecraft_key == self._key, journal.c.kind == "activation")
+            .order_by(journal.c.number)
+        )
+        for number, document in self._connection.execute(activations):
+            method = methods[decode(CalibrationActivation, document).calibration_id]
+            # a geometry calibration carries the paper part too; a paper one serves only paper
+            if self._method is Method.PAPER or method == CalibrationMethod.GEOMETRY.value:
+                return int(number)
+        return None
+
+
+def _of_run(run: ChunkRun) -> Iterator[_Consumed]:
+    columns = (run.chunk.epochs_us, run.chunk.numbers, run.chunk.received_at_us)
+    return starmap(_Consumed, zip(*(column[run.positions].tolist() for column in columns), strict=True))
+
+
+#: rows looked at at once
+_AT_ONCE = 10_000
+
+
+class PendingCount:
+    """Counter of pending rows, with what it knows to be complete."""
+
+    def __init__(self) -> None:
+        #: journal number up to which every row after the alignment has all results
+        self._complete: dict[tuple[int, int, tuple[str, ...]], int] = {}
+
+    def count(self, connection: Connection, cache: SegmentCache, key: int, methods: Sequence[Method]) -> int:
+        """Return how many rows after the newest alignment lack a result of one of the methods; 0 without one."""
+        newest = (
+            select(alignment.c.alignment_id, alignment.c.epoch_us)
+            .where(alignment.c.spacecraft_key == key)
+            .order_by(alignment.c.alignment_id.desc())
+            .limit(1)
+        )
+        aligned = connection.execute(newest).first()
+        if aligned is None or not methods:
+            return 0
+        names = tuple(sorted(method.value for method in methods))
+        known = (key, int(aligned.alignment_id), names)
+        number = connection.scalar(select(head_table.c.newest_number).where(head_table.c.spacecraft_key == key)) or 0
+        complete = self._complete.get(known)
+        if complete is None:
+            complete = _stored(connection, known)
+        # what retention has taken away is not awaited
+        epoch_us = max(aligned.epoch_us, kept_from_us(connection, key, "attitude") - 1)
+        of_rows = _lacking_rows(connection, key, epoch_us, complete, names)
+        lacking = [*of_rows, *_lacking_sealed(connection, cache, key, epoch_us, complete, names)]
+        first = min((int(numbers.min()) for numbers in lacking), default=None)
+        self._complete[known] = number if first is None else first - 1
+        return sum(map(len, lacking))
+
+    def store(self, connection: Connection, key: int) -> None:
+        """Store what is known to be complete of a spacecraft, for the first count after a start."""
+        for known, number in list(self._complete.items()):
+            if known[0] == key and number > _stored(connection, known):
+                is_it = (complete_mark.c.spacecraft_key == key, complete_mark.c.methods == ",".join(known[2]))
+                connection.execute(delete(complete_mark).where(*is_it))
+                values = {"spacecraft_key": key, "methods": ",".join(known[2]), "alignment_id": known[1]}
+                connection.execute(complete_mark.insert().values(**values, number=number))
+
+
+def _stored(connection: Connection, known: tuple[int, int, tuple[str, ...]]) -> int:
+    """Return the stored number of an alignment and methods, 0 where there is none."""
+    key, alignment_id, names = known
+    query = select(complete_mark.c.number).where(
+        complete_mark.c.spacecraft_key == key,
+        complete_mark.c.methods == ",".join(names),
+        complete_mark.c.alignment_id == alignment_id,
+    )
+    return connection.scalar(query) or 0
+
+
+def _lacking_rows(
+    connection: Connection, key: int, epoch_us: int, complete: int, names: Sequence[str]
+) -> Iterator[IntArray]:
+    """Yield the numbers of rows of the table of rows that lack a result, some of a day at a time."""
+    query = (
+        select(measurement.c.epoch_us, measurement.c.number)
+        .where(measurement.c.spacecraft_key == key, measurement.c.number > complete)
+        # the sum keeps the planner on the index by number, where only what has come since is read
+        .where(measurement.c.feeds, measurement.c.epoch_us + 0 > epoch_us)
+    )
+    for rows in connection.execute(query).partitions(_AT_ONCE):
+        epochs_us, numbers = np.array([tuple(row) for row in rows], dtype=np.int64).T
+        days = epochs_us // DAY_US
+        for day in np.unique(days).tolist():
+            its_us = epochs_us[days == day]
+            window = Window(int(its_us.min()), int(its_us.max()) + 1)
+            lacking = _lacking(connection, key, window, numbers[days == day], names)
+            if len(lacking):
+                yield lacking
+
+
+def _lacking_sealed(
+    connection: Connection, cache: SegmentCache, key: int, epoch_us: int, complete: int, names: Sequence[str]
+) -> Iterator[IntArray]:
+    """Yield the numbers of sealed rows that lack a result, segment by segment."""
+    for found in heads_of_numbers(connection, key, complete, MAX_NUMBER):
+        if found.last_epoch_us <= epoch_us or not found.feeding_count:
+            continue
+        chunk = read_chunk(connection, cache, found)
+        numbers = chunk.numbers[chunk.feeds & (chunk.epochs_us > epoch_us) & (chunk.numbers > complete)]
+        window = Window(found.first_epoch_us, found.last_epoch_us + 1)
+        lacking = _lacking(connection, key, window, numbers, names)
+        if len(lacking):
+            yield lacking
+
+
+def _lacking(connection: Connection, key: int, window: Window, numbers: IntArray, names: Sequence[str]) -> IntArray:
+    """Return those numbers of measurements of a window that lack a result."""
+    is_whole = np.ones(len(numbers), dtype=np.bool_)
+    for name in names:
+        held = stored_numbers(connection, RowSeries(key, attitude, LIVE, name), window)
+        is_whole &= np.isin(numbers, held)
+    return numbers[~is_whole]

@@ -121,6 +121,8 @@ CHECKSUM_BYTES = 4
 _EPOCH_END_US = 1 << 53
 #: whole numbers of a measurement, and the sizes of its arrays
 _MEASUREMENT = struct.Struct("<12q")
+#: of values that no writer stores
+_NO_CHECKSUM = (ArithmeticError, AttributeError, TypeError, ValueError, struct.error)
 #: for what is absent, and size of a content
 _NONE, _SIZE = -(1 << 63), struct.Struct("<q")
 
@@ -144,19 +146,33 @@ def checksum_column() -> Column[bytes]:
 
 
 def checksum_of(table: Any, values: Mapping[str, Any]) -> bytes:
-    """Checksum of a row of a table: CRC-32 of its columns in their order, numbers first, null as NaN is.
+    """Checksum of a row of a table."""
+    return checksums_of(table, {name: (value,) for name, value in values.items()})[0]
+
+
+def checksums_of(table: Any, columns: Mapping[str, Sequence[Any]]) -> list[bytes]:
+    """Checksums of rows of a table: CRC-32 of its columns in their order, numbers first, null as NaN is.
 
     The number that a database gives a row does not count.
     """
     whole, figures, contents, packed = _parts(table)
-    numbers = [_NONE if (number := values.get(name)) is None else number for name in whole]
-    reals = [figure if (figure := values.get(name)) is not None and figure == figure else math.nan for name in figures]
-    crc = zlib.crc32(packed.pack(*numbers, *reals))
-    for name in contents:
-        content = values.get(name)
-        part = content.encode() if isinstance(content, str) else content
-        crc = zlib.crc32(part or b"", zlib.crc32(_SIZE.pack(_NONE if part is None else len(part)), crc))
-    return _bytes_of(crc)
+    nothing = (None,) * len(next(iter(columns.values())))
+    numbers = ([_NONE if each is None else each for each in columns.get(name, nothing)] for name in whole)
+    reals = (
+        [math.nan if each is None or each != each else each for each in columns.get(name, nothing)] for name in figures
+    )
+    heads = (packed.pack(*row) for row in zip(*numbers, *reals, strict=True))
+    parts = [columns.get(name, nothing) for name in contents]
+    # most texts are one of a few
+    sized = ({each: _with_size(each) for each in set(part)} for part in parts)
+    framed = (map(sizes.__getitem__, part) for sizes, part in zip(sized, parts, strict=True))
+    return [_bytes_of(zlib.crc32(b"".join(row))) for row in zip(heads, *framed, strict=True)]
+
+
+def _with_size(content: str | bytes | None) -> bytes:
+    """Return a content behind its size."""
+    part = content.encode() if isinstance(content, str) else content
+    return _SIZE.pack(_NONE) if part is None else _SIZE.pack(len(part)) + part
 
 
 def agrees(table: Table, row: Row[Any]) -> bool:
@@ -164,14 +180,22 @@ def agrees(table: Table, row: Row[Any]) -> bool:
     own = table.info.get("checksum")
     try:
         computed = checksum_of(table, row._asdict()) if own is None else own(tuple(row)[:-1])
-    except (ArithmeticError, AttributeError, TypeError, ValueError, struct.error):
+    except _NO_CHECKSUM:
         return False
     return bool(row.checksum == computed)
 
 
-def is_sound(table: Table, row: Row[Any]) -> bool:
-    """Return whether a row agrees with its checksum, or has none: written by hand, which the doctor reports."""
-    return row.checksum is None or agrees(table, row)
+def soundness(table: Table, rows: Sequence[Row[Any]]) -> list[bool]:
+    """Return which rows agree with their checksums, or have none: written by hand, which the doctor reports."""
+    if not rows or "checksum" in table.info:
+        return [row.checksum is None or agrees(table, row) for row in rows]
+    columns = dict(zip(rows[0]._fields, zip(*rows, strict=True), strict=True))
+    try:
+        computed = checksums_of(table, columns)
+    except _NO_CHECKSUM:
+        return [row.checksum is None or agrees(table, row) for row in rows]
+    pairs = zip(columns["checksum"], computed, strict=True)
+    return [stored is None or stored == checksum for stored, checksum in pairs]
 
 
 def row_name(table: Table, row: Row[Any]) -> str:
@@ -187,10 +211,10 @@ def row_name(table: Table, row: Row[Any]) -> str:
 def sound_rows(table: Table, rows: Iterable[Row[Any]]) -> list[Row[Any]]:
     """Return the rows of a table; StorageError ``storage.corrupt`` names one that is not sound."""
     found = list(rows)
-    for row in found:
-        if not is_sound(table, row):
-            detail = f"The {table.name} row of {row_name(table, row)} differs from its checksum."
-            raise StorageError("storage.corrupt", detail)
+    damaged = next((row for row, is_sound in zip(found, soundness(table, found), strict=True) if not is_sound), None)
+    if damaged is not None:
+        detail = f"The {table.name} row of {row_name(table, damaged)} differs from its checksum."
+        raise StorageError("storage.corrupt", detail)
     return found
 
 

@@ -25,8 +25,7 @@ from service.records.operations.work import JobState, ReplayVersion
 from service.records.setting import SettingEntry
 from service.runtime.alarms.alarm_service import AlarmService
 from service.runtime.control.release_service import ReleaseService
-from service.runtime.jobs.alignment_service import Aligner
-from service.runtime.jobs.calibration import Calibrator
+from service.runtime.jobs.calibration import Aligner, Calibrator
 from service.runtime.jobs.replay import Replayer
 from service.runtime.live.live_feed import LiveFeed
 from service.runtime.live.supervisor import Supervisor

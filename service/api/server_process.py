@@ -4,7 +4,6 @@ uvicorn waits for answers in progress, and a stream is one that never ends by it
 """
 
 import asyncio
-import gc
 import socket
 import ssl
 import sys
@@ -15,16 +14,6 @@ from fastapi import FastAPI
 
 from service.api.limits.http_protocol import HEAD_TIMEOUT_S, BoundedProtocol
 from service.api.stream.event_stream import OpenStreams
-
-#: of the collector: new objects from which the young are looked at, and rounds of that from which older ones are
-#: (rows on their way are many objects without a cycle; at the 700, 10, 10 of Python looking took a fifth of ingest)
-_COLLECTOR_THRESHOLDS = (10_000, 20, 20)
-
-
-def calm_collector() -> None:
-    """Let the collector leave alone for good what is there now, and look at the rest more rarely; pauses stay short."""
-    gc.freeze()
-    gc.set_threshold(*_COLLECTOR_THRESHOLDS)
 
 
 def server_config(

@@ -32,9 +32,8 @@ from service.runtime.alarms.notifications import Mail, MailRoute, NoticeChannel,
 from service.runtime.clock import DataClock, SystemClock
 from service.runtime.control.release_context import ReleasePublisher
 from service.runtime.control.release_service import ReleaseService
-from service.runtime.jobs.alignment_service import Aligner
 from service.runtime.jobs.archive_maintenance import MaintenanceDue, MaintenanceWork
-from service.runtime.jobs.calibration import CalibrationWork, Calibrator
+from service.runtime.jobs.calibration import Aligner, CalibrationWork, Calibrator
 from service.runtime.jobs.job_runner import JobRunner, JobWorker, Standing, Work
 from service.runtime.jobs.replay import Replayer, replay_work
 from service.runtime.jobs.smoothing import SmoothingConfig, SmoothingDue, SmoothingWork
@@ -44,7 +43,7 @@ from service.runtime.live.supervisor import StepFailures, Supervisor
 
 if TYPE_CHECKING:
     from db.connection.engines import FileWatch
-    from db.maintenance.archive_tools import ArchiveTools
+    from db.maintenance.doctor import ArchiveTools
 
 #: descriptors that connections leave to the archive, logs and worker processes
 _OWN_FILES = 256
@@ -336,7 +335,7 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
 def open_archive_tools(database_url: str | None) -> "ArchiveTools":
     """Return what makes backups of an archive and looks at it; without a URL the archive of the settings."""
     # costs time that serving need not pay
-    from db.maintenance.archive_tools import ArchiveTools
+    from db.maintenance.doctor import ArchiveTools
 
     settings = Settings.model_validate({})
     return ArchiveTools(database_url or settings.database_url, SystemClock(), fingerprint(settings.chain_config()))

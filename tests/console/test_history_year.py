@@ -13,7 +13,7 @@ from service_process import serving_on
 
 from db.encoding.column_blob import pack_columns
 from db.encoding.segments import DAY_US, MeasuredColumns, measured_arrays
-from db.results.state_history import STATES, stretch_blob
+from db.results.result_samples import STATES, stretch_blob
 from db.schema.tables import segment, summary
 from db.storage import SqlStorage
 from db.summaries import bins_of

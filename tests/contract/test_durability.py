@@ -14,7 +14,7 @@ from stored_records import ALARM, COMMAND
 from db.connection.engines import BoundedConnection, NoAnswerError
 from db.connection.writer import ATTEMPTS
 from db.encoding.segments import DAY_US
-from db.measurements import retention
+from db.measurements import closed_days
 from db.schema.tables import retention_mark
 from db.storage import SqlStorage
 from service.errors import ConflictError, StorageError
@@ -356,7 +356,7 @@ ALWAYS = 1 << 60
 @pytest.fixture
 def lived(setting, make, monkeypatch):
     """A spacecraft with four days of rows, the first two of them sealed, all consumed, with attitude and commands."""
-    monkeypatch.setattr(retention, "ROWS_AT_ONCE", 2)
+    monkeypatch.setattr(closed_days, "ROWS_AT_ONCE", 2)
     figures = np.ones((4, 1, 3), dtype=np.float32)
     for day in range(4):
         for row in range(3):

@@ -12,7 +12,7 @@ import pytest
 from sqlalchemy import select, update
 from stored_records import ALARM
 
-import db.measurements.checksum_check
+import db.maintenance.integrity_check
 from db.maintenance.backup import create_backup, restore_backup, verify_backup
 from db.maintenance.doctor import diagnose
 from db.schema.columns import CHECKSUM_BYTES, checksum_of
@@ -204,7 +204,7 @@ def test_what_was_changed_is_found_in_every_table(filled):
         for statement in CHANGES:
             with connection.begin() as transaction:
                 assert connection.exec_driver_sql(statement).rowcount, statement
-                damaged = [each for each in db.measurements.checksum_check.checked_tables(connection) if each.differing]
+                damaged = [each for each in db.maintenance.integrity_check.checked_tables(connection) if each.differing]
                 transaction.rollback()
             assert [each.name for each in damaged] == [statement.split()[1]], statement
             assert len(damaged[0].named) == damaged[0].differing
@@ -358,7 +358,7 @@ def test_values_that_no_writer_stores_differ_and_stop_nothing(setting):
         if connection.dialect.name != "sqlite":
             return
         connection.exec_driver_sql("UPDATE measurement SET seq = 'x', number = 1.5")
-        (damaged,) = [each for each in db.measurements.checksum_check.checked_tables(connection) if each.differing]
+        (damaged,) = [each for each in db.maintenance.integrity_check.checked_tables(connection) if each.differing]
     assert damaged.name == "measurement"
 
 

@@ -8,7 +8,7 @@ from sqlalchemy import func, select, update
 
 from db import sealing
 from db.encoding.segments import DAY_US
-from db.measurements import retention
+from db.measurements import closed_days
 from db.results.stored_rows import pack_carriers
 from db.schema.tables import attitude, segment, torque
 from db.storage import SqlStorage
@@ -57,7 +57,7 @@ def answers(setting, windows, alignment):
         "after the alignment": results.rows_after(name, alignment),
         "sequences": [results.results_after(name, after, 9) for after in range(0, last + 1, 7)],
         "carriers of sequences": [
-            (sequence, pack_carriers(each))
+            (sequence, *pack_carriers([each]))
             for after in range(0, last + 1, 7)
             for sequence, each in sorted(results.carriers_after(name, after, after + 9).items())
         ],
@@ -78,7 +78,7 @@ def answers(setting, windows, alignment):
 
                 carriers = results.carrier_results(name, version, method, window)
                 found[f"carriers {method} {version} {window}"] = [
-                    (position, pack_carriers(each)) for position, each in carriers.items()
+                    (position, *pack_carriers([each])) for position, each in carriers.items()
                 ]
                 found[f"{method} {version} {window}"] = [list(pages(rows, limit)) for limit in (4, 999)]
     return {question: repr(answer) for question, answer in found.items()}
@@ -284,7 +284,7 @@ def test_a_damaged_row_is_not_sealed(setting, make, caplog):
 
 @pytest.mark.parametrize("series", ["attitude", "torques"])
 def test_retention_drops_sealed_days_of_every_version(setting, make, monkeypatch, series):
-    monkeypatch.setattr(retention, "SEGMENTS_AT_ONCE", 1)
+    monkeypatch.setattr(closed_days, "SEGMENTS_AT_ONCE", 1)
     lived(setting, make)
     lived(setting, make, version=REPLAYED)
     archive, results = setting.storage.archive, setting.storage.results

@@ -12,7 +12,7 @@ from sqlalchemy import delete, select, update
 
 from db.encoding.segments import DAY_US
 from db.maintenance.integrity_check import compare_summaries
-from db.results import state_history
+from db.results import result_samples
 from db.results.results import SqlResults
 from db.schema.tables import segment, summary
 from service.core.rows import GapSearch, RowState, SampleBins
@@ -189,7 +189,7 @@ def test_sealed_days_are_read_from_summaries(summed, monkeypatch):
     """Of intervals that are whole hours neither a segment is opened nor a row read, and the samples are the same."""
     span = Window(0, 2 * DAY_US)
     plain = [check_powers(summed, span, 48), check_attitude(summed, span, 48)]
-    monkeypatch.setattr("db.measurements.power_samples.read_chunk", None)
+    monkeypatch.setattr("db.measurements.measurement_pages.read_chunk", None)
     monkeypatch.setattr("db.results.result_samples.read_results", None)
     powers, angles = (SampleBins(span.start_us, span.stop_us, 48, 3) for _ in range(2))
     for _, buckets in summed.storage.archive.sampled_measurements(summed.id, span, powers):
@@ -209,7 +209,7 @@ def test_rows_closer_than_twenty_seconds_have_minutes(setting, monkeypatch):
     seal(setting)
     assert {row.bin_s for row in summaries(setting, "power_dbm")} == {60, 3600}
     plain = check_powers(setting, Window(0, 3_600_000_000), 30)
-    monkeypatch.setattr("db.measurements.power_samples.read_chunk", None)
+    monkeypatch.setattr("db.measurements.measurement_pages.read_chunk", None)
     powers = SampleBins(0, 3_600_000_000, 30, 3)
     for _, buckets in setting.storage.archive.sampled_measurements(setting.id, Window(0, 3_600_000_000), powers):
         powers.add_summaries(buckets)
@@ -223,7 +223,7 @@ def test_c_n0_of_sealed_days_is_read_from_summaries(setting, monkeypatch):
         stated = np.array([math.nan, 80.0, 81.5], dtype=np.float32) * np.ones((4, 288, 1), dtype=np.float32)
         setting.append(epochs_us, details=CarrierDetails(*stated) if day else None)
     seal(setting)
-    monkeypatch.setattr("db.measurements.power_samples.read_chunk", None)
+    monkeypatch.setattr("db.measurements.measurement_pages.read_chunk", None)
     hours = SampleBins(0, 2 * DAY_US, 48, 3)
     read = setting.storage.archive.sampled_measurements(setting.id, Window(0, 2 * DAY_US), hours, None, "c_n0_db_hz")
     for _, buckets in read:
@@ -317,9 +317,9 @@ def test_the_first_count_of_a_process_begins_where_the_last_one_ended(summed, ma
     results.mark_complete(summed.id, methods)
     head = summed.storage.archive.head(summed.id)
     looked = []
-    lacking = "db.results.pending._lacking_rows"
-    monkeypatch.setattr(lacking, lambda *arguments: looked.append(arguments[3]) or (0, None))
-    monkeypatch.setattr("db.results.pending._lacking_sealed", lambda *_: iter(()))
+    lacking = "db.results.stored_rows._lacking_rows"
+    monkeypatch.setattr(lacking, lambda *arguments: looked.append(arguments[3]) or ())
+    monkeypatch.setattr("db.results.stored_rows._lacking_sealed", lambda *_: iter(()))
     results._pending = type(results._pending)()
     assert results.pending(summed.id, methods) == 0
     assert looked == [head.newest_number]
@@ -446,7 +446,7 @@ def test_rows_without_states_are_read_up_to_a_bound_and_the_rest_is_stated(state
     span = Window(rows[0].epoch_us, rows[-1].epoch_us + 1)
     history = partial(state_summed.storage.results.state_history, state_summed.id, Method.ROBUST)
     whole = history(span)
-    monkeypatch.setattr(state_history, "MOST_ROWS", most)
+    monkeypatch.setattr(result_samples, "MOST_ROWS", most)
     found = history(span)
     ends = [span.start_us, *(end for part in found.left_out_us for end in part), span.stop_us]
     given = [Window(*part) for part in zip(ends[::2], ends[1::2], strict=True) if part[0] < part[1]]
@@ -465,7 +465,7 @@ def test_rows_without_states_are_read_up_to_a_bound_and_the_rest_is_stated(state
 
 def test_an_open_day_of_more_rows_costs_no_more_than_the_bound(setting, make, monkeypatch):
     """Four times the rows of the newest day, and one bound: processor time stays, where all rows would cost four."""
-    monkeypatch.setattr(state_history, "MOST_ROWS", 500)
+    monkeypatch.setattr(result_samples, "MOST_ROWS", 500)
     taken_s = []
     for day, count in ((0, 1000), (1, 8000)):
         span = Window(day * DAY_US, day * DAY_US + count * 10_000_000)

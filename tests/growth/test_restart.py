@@ -9,7 +9,7 @@ from busy_station import SC, Station
 
 from db.schema.tables import checkpoint
 from service.pipeline.config import ChainConfig
-from service.runtime.live.chain_restart import ChainRestarts
+from service.runtime.live.journal_consumer import ChainRestarts
 
 pytestmark = [pytest.mark.slow, pytest.mark.alone, pytest.mark.timeout(1200)]
 

@@ -18,8 +18,7 @@ from service.core.estimation.paper.downlink_fade import fade_sign_test, trailing
 from service.core.estimation.paper.harmonic import fit_harmonic, fit_harmonics
 from service.core.estimation.paper.sensitivity import fit_turn_sensitivity
 from service.core.estimation.paper.snapshot import RejectionReason, predict_deviation_db
-from service.core.estimation.snapshot.snapshot import solve_snapshots
-from service.core.estimation.snapshot.snapshot_steps import subset_orders
+from service.core.estimation.snapshot import solve_snapshots, subset_orders
 from service.core.geometry.frames import AntennaDirection, antenna_direction, body_from_nadir
 from service.core.geometry.line_of_sight import latest_node_us, node_phase_at_rad, node_phase_rad
 from service.core.radio.levels import db_from_ratio, dbm_from_mw, mw_from_dbm, ratio_from_db

@@ -29,8 +29,7 @@ from service.core.estimation.calibration.geometry_columns import (
 from service.core.estimation.design import choose_carriers
 from service.core.estimation.filtering.filter_model import FilterSettings
 from service.core.estimation.observability import crlb_deg
-from service.core.estimation.snapshot.snapshot import CarrierUse, solve_snapshots
-from service.core.estimation.snapshot.snapshot_steps import subset_orders
+from service.core.estimation.snapshot import CarrierUse, solve_snapshots, subset_orders
 from service.core.geometry.frames import station_direction
 from service.core.geometry.line_of_sight import (
     Positions,

@@ -12,7 +12,7 @@ from calibration_world import calibration_input, ground_of
 
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
-from service.core.estimation.calibration.checks.turns import LONGEST_LAG_S
+from service.core.estimation.calibration.turns import LONGEST_LAG_S
 from service.pipeline.calibration.geometry_calibration import calibrate_geometry
 from service.pipeline.calibration.paper_calibration import calibrate_paper
 from service.pipeline.config import CalibrationConfig

@@ -25,7 +25,6 @@ from service.api.export.export_chunks import (
 )
 from service.errors import InvalidInputError, NotFoundError
 from service.formats.ccsds import AemWriter, AttitudeMessage
-from service.formats.tabular.measurement_file import MeasurementColumns, measurement_bytes
 from service.formats.tabular.series_tables import (
     ATTITUDE,
     EVENTS,
@@ -37,7 +36,13 @@ from service.formats.tabular.series_tables import (
     joined_table,
     plain_value,
 )
-from service.formats.tabular.table_file import SeriesTable, TableFormat, table_bytes
+from service.formats.tabular.table_file import (
+    MeasurementColumns,
+    SeriesTable,
+    TableFormat,
+    measurement_bytes,
+    table_bytes,
+)
 from service.formats.tdm import TdmWriter, TrackingMessage
 from service.ports.archive import LIVE, ListPart
 from service.records.calibration import Window

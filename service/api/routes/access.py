@@ -51,7 +51,7 @@ from service.api.views.shipped import program_version, shipped_distributions
 from service.errors import ConflictError, FieldError, NotFoundError
 from service.records.epoch import US_PER_S
 from service.records.operations.access import AccessKey, AuditFilter, Role, StoredKey, digest_of, new_key
-from service.runtime.live.chain_restart import Restarting
+from service.runtime.live.journal_consumer import Restarting
 
 about_router = APIRouter(tags=["health"])
 

@@ -40,8 +40,8 @@ from service.records.epoch import US_PER_S
 from service.records.levels.attitude import Axes
 from service.records.operations.work import Replay, ReplayVersion
 from service.records.record_fields import record_fields
-from service.runtime.jobs.alignment_service import AlignmentRequest
 from service.runtime.jobs.analysis import WindowHarmonics
+from service.runtime.jobs.calibration import AlignmentRequest
 
 Sensor = Literal["star_tracker", "earth_sensor", "radio_beacon", "other"]
 #: what an operation of the archive is named by; it counts with int32

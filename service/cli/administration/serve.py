@@ -124,8 +124,8 @@ def _listener(settings: "Settings") -> socket.socket:
 def _serve(settings: "Settings", listener: socket.socket) -> None:
     """Listen, say where, and run until told to stop; begin again on an archive that was put in the place of ours."""
     # imported here so that other commands start without the web framework and the database
-    from service.api.server_process import calm_collector
     from service.composition.bootstrap import build_app, first_administrator, watch_file
+    from service.runtime.jobs.job_runner import calm_collector
 
     is_announced = False
     while True:

@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from service.core.estimation.calibration.checks import responses
+from service.core.estimation.calibration import responses
 from service.core.estimation.filtering.filter_model import FilterSettings
 from service.core.estimation.filtering.plant import TORQUES
 from service.pipeline.calibration.geometry_fit import JointFit, calibration_warnings, fit_rows, quality_metrics

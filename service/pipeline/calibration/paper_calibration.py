@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from service.core.estimation.calibration.checks.sensor_axes import FreeResponse
+from service.core.estimation.calibration.sensor_axes import FreeResponse
 from service.core.estimation.noise import NoiseSplit, split_noise
 from service.core.estimation.observability import condition_number, crlb_deg
 from service.core.estimation.paper.harmonic import HarmonicFits, evaluate_harmonic, fit_harmonics

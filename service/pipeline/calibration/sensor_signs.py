@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.calibration.checks.sensor_axes import (
+from service.core.estimation.calibration.sensor_axes import (
     DECISIVE,
     MAPPINGS,
     AxesVerdict,

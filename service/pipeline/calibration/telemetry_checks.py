@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from service.core.estimation.calibration.checks.responses import (
+from service.core.estimation.calibration.responses import (
     AngleResponse,
     MomentumResponse,
     RateResponse,

@@ -9,7 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from service.core.estimation.calibration.checks.turns import (
+from service.core.estimation.calibration.geometry_calibration import predict_level_dbm
+from service.core.estimation.calibration.geometry_columns import BEAM_SIZE
+from service.core.estimation.calibration.turns import (
     EARTH_WIDTH_DEG,
     LONGEST_LAG_S,
     BeamScale,
@@ -18,8 +20,6 @@ from service.core.estimation.calibration.checks.turns import (
     beam_scale,
     turn_lag,
 )
-from service.core.estimation.calibration.geometry_calibration import predict_level_dbm
-from service.core.estimation.calibration.geometry_columns import BEAM_SIZE
 from service.core.estimation.calibration.whitened_fit import coloured_noise
 from service.core.estimation.observability import crlb_deg
 from service.pipeline.calibration.geometry_fit import JointFit, fit_rows

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from service.core.estimation.effective_row import EffectiveRow, SmoothedState, smoothed_rows
 from service.core.estimation.filtering.filter_model import ATTITUDE, rates_deg_h
-from service.core.estimation.smoothing.effective_row import EffectiveRow, SmoothedState, smoothed_rows
 from service.pipeline.estimation.robust.row_recorder import RowRecorder
 from service.records.catalogue import Method
 from service.records.epoch import US_PER_S

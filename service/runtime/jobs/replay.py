@@ -11,7 +11,7 @@ there and gives the same rows, bit for bit.
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from itertools import islice, takewhile
+from itertools import islice, takewhile, zip_longest
 from typing import NamedTuple
 
 from service.errors import ConflictError, InvalidInputError
@@ -27,19 +27,17 @@ from service.records.inputs import AlignmentSet, JournalEntry
 from service.records.levels.measurement import Measurement
 from service.records.operations.work import Job, JobKind, Replay
 from service.records.storage import Checkpoint
-from service.runtime.jobs.job_runner import WorkerConfig, new_job
-from service.runtime.live.chain_restart import (
+from service.runtime.jobs.job_runner import WorkerConfig, calm_collector, new_job
+from service.runtime.live.journal_consumer import (
+    BLOCK_ROWS,
     KNOWN_US,
+    DocumentCache,
     checkpoint_of,
+    consume,
+    consume_rows,
     numbered_alignments,
     restored_checkpoint,
     state_of,
-)
-from service.runtime.live.journal_consumer import (
-    BLOCK_ROWS,
-    DocumentCache,
-    consume,
-    consume_rows,
     trips_after,
     update_before,
     without_torque_after,
@@ -53,11 +51,10 @@ _CHECKPOINT_S = 2.0
 
 
 class _Passed(NamedTuple):
-    """Position of a run, and the outcome of a row."""
+    """Position of a run, and the outcomes of some rows."""
 
     progress: float
-    #: None at the end of an entry
-    outcome: Outcome | None
+    outcomes: Sequence[Outcome]
     #: journal number and epoch up to which the chain has consumed; None within an entry
     position: tuple[int, int] | None
 
@@ -200,8 +197,7 @@ class ReplayRun:
         chosen: list[Outcome] = []
         kept_s = time.monotonic()
         for each in self._passed(kept, ReplaySpan(None, self._last_number())):
-            if each.outcome is not None and (within := _within(each.outcome, self._replay)) is not None:
-                chosen.append(within)
+            chosen += self._within(each.outcomes)
             is_due = is_kept and each.position is not None and time.monotonic() - kept_s >= _CHECKPOINT_S
             if is_due or len(chosen) >= _OUTCOMES_AT_ONCE:
                 self._save(chosen, each.position if is_due else None)
@@ -238,9 +234,8 @@ class ReplayRun:
         chosen: list[Outcome] = []
         former: list[Outcome] = []
         for each in self._passed(None, span):
-            within = None if each.outcome is None else _within(each.outcome, self._replay)
-            if within is not None:
-                (former if within.rows[0].number <= (span.after or 0) else chosen).append(within)
+            for outcome in self._within(each.outcomes):
+                (former if outcome.rows[0].number <= (span.after or 0) else chosen).append(outcome)
             if len(chosen) >= _OUTCOMES_AT_ONCE:
                 self._save(chosen, None)
                 chosen = []
@@ -251,13 +246,25 @@ class ReplayRun:
         """Pass the rows of a span, and behind each the rows that could be smoothed by then."""
         for each in self._by_epoch(own) if self._replay.order == "epoch" else self._by_journal(own, span):
             yield each
-            if self._smoothed is not None and each.outcome is not None:
-                made = self._smoothed.push(each.outcome.rows)
-                if made:
-                    yield _Passed(each.progress, Outcome(tuple(made), None), None)
+            if self._smoothed is not None:
+                made = [self._smoothed.push(outcome.rows) for outcome in each.outcomes]
+                yield _Passed(each.progress, [Outcome(tuple(rows), None) for rows in made if rows], None)
         if self._smoothed is not None:
-            for row in self._smoothed.rest():
-                yield _Passed(1.0, Outcome((row,), None), None)
+            yield from (_Passed(1.0, [Outcome((row,), None)], None) for row in self._smoothed.rest())
+
+    def _within(self, outcomes: Sequence[Outcome]) -> Iterator[Outcome]:
+        """Yield the parts of outcomes that a replay keeps: rows of its span and method, and smoothed ones."""
+        replay = self._replay
+        for outcome in outcomes:
+            kept = [
+                (row, carriers)
+                for row, carriers in zip_longest(outcome.rows, outcome.carriers)
+                if replay.start_us <= row.epoch_us < replay.stop_us
+                and (replay.method in (None, row.method) or row.method is Method.ROBUST_SMOOTHED)
+            ]
+            if kept:
+                rows, carriers = zip(*kept, strict=True)
+                yield Outcome(rows, outcome.command, carriers=carriers)
 
     def _save(self, outcomes: list[Outcome], position: tuple[int, int] | None) -> None:
         checkpoint = None if position is None else checkpoint_of(self._chain, self._config, *position)
@@ -290,19 +297,19 @@ class ReplayRun:
             for rows, entry in _blocks(heard):
                 last = rows[-1].number if entry is None else entry.number
                 progress = (last - first) / max(1, until - first)
-                for number, outcome in self._outcomes(rows, entry):
-                    if number > after:
-                        yield _Passed(progress, without_torque_after(trips, outcome), None)
+                made = self._outcomes(rows, entry)
+                while block := list(islice(made, BLOCK_ROWS)):
+                    later = [without_torque_after(trips, outcome) for number, outcome in block if number > after]
+                    yield _Passed(progress, later, None)
                 newest_us = max([newest_us, *(row.epoch_us for row in rows)])
-                yield _Passed(progress, None, (last, newest_us))
+                yield _Passed(progress, (), (last, newest_us))
 
     def _outcomes(self, rows: list[Measurement], entry: JournalEntry | None) -> Iterator[tuple[int, Outcome]]:
         """Yield what comes of rows, or of an entry that is none, with the journal number of what it came of."""
         if entry is None:
-            yield from ((row.number, outcome) for row, outcome in consume_rows(self._chain, rows))
-        else:
-            found = consume(self._chain, entry, self._storage.archive, self._id)
-            yield from ((entry.number, outcome) for outcome in found)
+            return ((row.number, outcome) for row, outcome in consume_rows(self._chain, rows))
+        found = consume(self._chain, entry, self._storage.archive, self._id)
+        return ((entry.number, outcome) for outcome in found)
 
     def _by_epoch(self, own: Checkpoint | None) -> Iterator[_Passed]:
         """Pass the rows in order of epoch; what is known now holds from the alignment on."""
@@ -323,9 +330,8 @@ class ReplayRun:
         while block := list(islice(ahead, BLOCK_ROWS)):
             last = block[-1]
             progress = min(1.0, (last.epoch_us - start_us) / span_us)
-            for _, outcome in consume_rows(self._chain, block):
-                yield _Passed(progress, outcome, None)
-            yield _Passed(progress, None, (last.number, last.epoch_us))
+            outcomes = [outcome for _, outcome in consume_rows(self._chain, block)]
+            yield _Passed(progress, outcomes, (last.number, last.epoch_us))
 
     def _state_of(self, own: Checkpoint | None) -> ChainState | None:
         return None if own is None else state_of(self._id, own)
@@ -418,21 +424,8 @@ def run_span_in_process(
 ) -> list[Outcome]:
     """Run a span of a replay, as `ReplayRun.run_span` does, in a process that has no storage yet."""
     storage = open_storage()
+    calm_collector()
     try:
         return ReplayRun(storage, config, spacecraft_id, version).run_span(span)
     finally:
         storage.close()
-
-
-def _within(outcome: Outcome, replay: Replay) -> Outcome | None:
-    """Return the part of an outcome that a replay keeps: rows of its span and method, and smoothed ones."""
-    kept = [
-        k
-        for k, row in enumerate(outcome.rows)
-        if replay.start_us <= row.epoch_us < replay.stop_us
-        and (replay.method in (None, row.method) or row.method is Method.ROBUST_SMOOTHED)
-    ]
-    if not kept:
-        return None
-    carriers = tuple(outcome.carriers[k] for k in kept) if outcome.carriers else ()
-    return Outcome(tuple(outcome.rows[k] for k in kept), outcome.command, carriers=carriers)

@@ -17,8 +17,13 @@ from service.records.levels.attitude import AttitudeRow
 from service.records.levels.measurement import Measurement
 from service.records.operations.work import Job
 from service.records.setting import CHOSEN, setting
-from service.runtime.live.chain_restart import numbered_alignments, restored_checkpoint
-from service.runtime.live.journal_consumer import DocumentCache, consume, update_before
+from service.runtime.live.journal_consumer import (
+    DocumentCache,
+    consume,
+    numbered_alignments,
+    restored_checkpoint,
+    update_before,
+)
 from service.runtime.live.leadership import always
 
 _ENTRIES_AT_ONCE = 512

@@ -60,8 +60,7 @@ from service.records.operations.work import Job, JobKind, JobState, Replay
 from service.runtime.alarms.alarm_service import AlarmService
 from service.runtime.control.release_context import ReleasePublisher
 from service.runtime.control.release_service import ReleaseService
-from service.runtime.jobs.alignment_service import Aligner
-from service.runtime.jobs.calibration import CalibrationWork, Calibrator
+from service.runtime.jobs.calibration import Aligner, CalibrationWork, Calibrator
 from service.runtime.jobs.job_runner import JobPieces, JobRunner, Work
 from service.runtime.jobs.replay import Replayer, replay_work
 from service.runtime.live.live_feed import LiveFeed

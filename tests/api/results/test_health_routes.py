@@ -14,7 +14,7 @@ from service.ports.archive import Outcome
 from service.records.inputs import Correction, TelemetryRecord
 from service.records.levels.attitude import Axes, CarrierState
 from service.records.operations.work import LinkReport
-from service.runtime.live.chain_restart import Restarting
+from service.runtime.live.journal_consumer import Restarting
 from service.runtime.log_format import JsonLogFormatter
 
 pytestmark = pytest.mark.anyio

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from stored_records import ALARM
 
-from db.results import state_history
+from db.results import result_samples
 from service.api.context import CarrierNameCache
 from service.api.stream.events import ArchiveReader, EventTexts
 from service.api.views import timeline
@@ -396,7 +396,7 @@ async def test_too_many_runs_are_joined_and_too_long_lists_cut(story, make, monk
 
 
 async def test_what_is_left_out_is_stated(story, make, monkeypatch):
-    monkeypatch.setattr(state_history, "MOST_ROWS", 25)
+    monkeypatch.setattr(result_samples, "MOST_ROWS", 25)
     found = await story.get("/timeline", start=epoch(make, 0), stop=epoch(make, 60))
     (left_out,) = found["states_left_out"]
     # 25 rows stand from here on; the five of the gap are missing

@@ -21,8 +21,7 @@ from service.records.inputs import AttitudeReference, Correction, Operation
 from service.records.levels.attitude import Axes
 from service.records.levels.measurement import MeasurementBatch
 from service.records.operations.work import JobKind, JobState, Replay
-from service.runtime.jobs.alignment_service import Aligner, AlignmentRequest
-from service.runtime.jobs.calibration import CalibrationWork
+from service.runtime.jobs.calibration import Aligner, AlignmentRequest, CalibrationWork
 from service.runtime.jobs.job_runner import JobPieces, JobRunner
 from service.runtime.jobs.replay import Replayer, replay_work
 from service.runtime.live import supervisor
@@ -167,7 +166,7 @@ class Station:
 
     def carriers(self, method, version, start, stop):
         found = self.storage.results.carrier_results(SC, version, method, self.window(start, stop))
-        return {position: pack_carriers(results) for position, results in found.items()}
+        return dict(zip(found, pack_carriers(list(found.values())), strict=True))
 
     def commands(self, version=LIVE, start=1, stop=100_000):
         """Return the commands of some minutes."""

@@ -7,6 +7,7 @@ import numpy as np
 from filter_rows import step
 
 from service.core.arrays import FloatArray, IntArray
+from service.core.estimation.effective_row import EffectiveRow, effective_row
 from service.core.estimation.filtering.declared import Declared
 from service.core.estimation.filtering.filter_model import (
     ATTITUDE,
@@ -22,7 +23,6 @@ from service.core.estimation.filtering.filter_state import FilterState, start
 from service.core.estimation.filtering.plant import FilterModel, filter_model
 from service.core.estimation.filtering.prediction import Innovation, innovate, update_state
 from service.core.estimation.filtering.row_block import empty_result, empty_trace
-from service.core.estimation.smoothing.effective_row import EffectiveRow, effective_row
 
 MINUTE_US = 60_000_000
 

@@ -14,10 +14,9 @@ from sqlalchemy.schema import CreateTable
 
 from db.connection.engines import FileWatch, open_engines, translated_faults
 from db.connection.writer import GROUP_LIMIT, Writer, insert_new
-from db.results.stored_rows import attitude_values
-from db.schema.columns import checksum_of
-from db.schema.layout import create_tables
-from db.schema.tables import attitude, measurement
+from db.results.stored_rows import attitude_columns
+from db.schema.columns import checksums_of
+from db.schema.tables import attitude, create_tables, measurement
 from service.errors import StorageError
 from service.records.catalogue import Method
 from service.records.levels.attitude import row_without_attitude
@@ -191,33 +190,41 @@ def test_a_file_that_is_away_is_not_replaced(identity_engines, tmp_path):
 
 @pytest.fixture
 def rows():
-    """Return the columns of three rows without angles, all of whose figures are NaN."""
-    made = [row_without_attitude(60 * k, 60 * k + 1, k, Method.ROBUST, ("not_aligned",)) for k in (1, 2, 3)]
-    return [{**attitude_values(7, "live", row, row.number), "carriers": None} for row in made]
+    """Return three rows without angles, all of whose figures are NaN."""
+    return [row_without_attitude(60 * k, 60 * k + 1, k, Method.ROBUST, ("not_aligned",)) for k in (1, 2, 3)]
+
+
+def columns_of(rows, carriers=None):
+    columns = attitude_columns(7, "live", rows, [row.number for row in rows], [None] * len(rows))
+    return {**columns, "carriers": [carriers] * len(rows)}
 
 
 def test_rows_that_stand_stay_as_they_are(rows):
     engine = create_engine("sqlite://")
     with engine.begin() as connection:
         attitude.create(connection)
-        assert insert_new(connection, attitude, rows[:2]) == 2
-        changed = [{**row, "carriers": b"other"} for row in rows]
+        assert insert_new(connection, attitude, columns_of(rows[:2])) == 2
+        changed = columns_of(rows, b"other")
         assert insert_new(connection, attitude, changed) == 1
         stored = connection.execute(select(attitude).order_by(attitude.c.epoch_us)).all()
     engine.dispose()
     assert [row.carriers for row in stored] == [None, None, b"other"]
-    assert [row.checksum for row in stored] == [checksum_of(attitude, row) for row in (*rows[:2], changed[2])]
+    checksums = checksums_of(attitude, columns_of(rows[:2])) + checksums_of(attitude, changed)[2:]
+    assert [row.checksum for row in stored] == checksums
     assert all(math.isnan(row.common_db) for row in stored)
-    assert insert_new(connection, attitude, []) == 0
+    assert insert_new(connection, attitude, dict.fromkeys(changed, ())) == 0
 
 
 def test_more_than_a_group_waiting_at_once_is_all_written_in_order(tmp_path):
     engines = open_engines(f"sqlite:///{tmp_path / 'soo.db'}")
     writer, released, written = Writer(engines.write), Event(), []
     blocking = writer.submit(lambda _connection: released.wait(60))
-    waiting = [
-        writer.submit(lambda _connection, number=number: number, written.append) for number in range(3 * GROUP_LIMIT)
-    ]
+
+    def write(number):
+        written.append(number)
+        return number
+
+    waiting = [writer.submit(lambda _connection, number=number: write(number)) for number in range(3 * GROUP_LIMIT)]
     released.set()
     assert blocking.result(60)
     assert [future.result(60) for future in waiting] == list(range(3 * GROUP_LIMIT)) == written

@@ -8,11 +8,10 @@ from hypothesis import strategies as st
 from sqlalchemy import delete, select
 
 from db.connection.engines import open_engines
-from db.measurements.row_insert import insert_rows
+from db.measurements.ingest import insert_rows
 from db.measurements.sequence_numbers import RUNS_KEPT, Block, NumberedRow, SequenceNumbers, Tail, blocks_of
 from db.schema.columns import measurement_checksum
-from db.schema.layout import create_tables
-from db.schema.tables import measurement, sequence_interval
+from db.schema.tables import create_tables, measurement, sequence_interval
 
 
 @pytest.fixture(scope="module", params=["sqlite", "postgresql"])

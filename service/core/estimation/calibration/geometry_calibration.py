@@ -21,12 +21,6 @@ import numpy as np
 
 from service.core.arrays import BoolArray, FloatArray
 from service.core.estimation.calibration.calibration_bins import Means, Stretches, still_stretches, stretch_means
-from service.core.estimation.calibration.checks.sensor_axes import (
-    FreeResponse,
-    StationOffsets,
-    fit_free_response,
-    station_offsets,
-)
 from service.core.estimation.calibration.geometry_columns import (
     BEAM_SIZE,
     SOLAR_SIZE,
@@ -43,6 +37,12 @@ from service.core.estimation.calibration.geometry_columns import (
     symmetric_matrix,
 )
 from service.core.estimation.calibration.joint_tukey import JointProblem, SeparableFit, fit_jointly
+from service.core.estimation.calibration.sensor_axes import (
+    FreeResponse,
+    StationOffsets,
+    fit_free_response,
+    station_offsets,
+)
 from service.core.estimation.calibration.whitened_fit import coloured_noise, whitened_fit
 from service.core.estimation.noise_identification import IdentifiedNoise, identify_noise
 from service.core.estimation.robust_statistics import middle_values

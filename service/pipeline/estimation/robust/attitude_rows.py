@@ -13,7 +13,7 @@ from service.core.estimation.filtering.motion_sensor import sensor_advice
 from service.core.estimation.filtering.row import MIN_CARRIERS
 from service.core.estimation.filtering.row_block import EXCLUSIONS, BlockResult
 from service.core.estimation.filtering.state_changes import sensors_of
-from service.core.estimation.snapshot.snapshot import CarrierUse, Snapshots
+from service.core.estimation.snapshot import CarrierUse, Snapshots
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.robust.model import RobustModel
 from service.pipeline.estimation.robust.robust_state import RobustState

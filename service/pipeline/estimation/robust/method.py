@@ -36,7 +36,7 @@ from service.core.estimation.filtering.state_changes import (
     with_torque,
     without_rates,
 )
-from service.core.estimation.snapshot.snapshot import Snapshots, solve_snapshots
+from service.core.estimation.snapshot import Snapshots, solve_snapshots
 from service.pipeline.carrier_model.level_control import without_group_gain
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.method import CarrierLevels

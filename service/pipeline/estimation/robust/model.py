@@ -9,7 +9,7 @@ import numpy as np
 from service.core.estimation.calibration.geometry_columns import QuadraticResponse, predict_deviation
 from service.core.estimation.filtering.filter_model import CarrierModel, FilterSettings, RateSensorModel
 from service.core.estimation.filtering.plant import FilterModel, IntegrityLimits, filter_model, is_pushed
-from service.core.estimation.snapshot.snapshot_steps import subset_orders
+from service.core.estimation.snapshot import subset_orders
 from service.pipeline.carrier_model.expected_level import (
     ExpectedLevel,
     GeometryModel,

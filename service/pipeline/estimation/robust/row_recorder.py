@@ -9,12 +9,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from service.core.estimation.effective_row import EffectiveRow, effective_row, state_origin
 from service.core.estimation.filtering.filter_model import FilterSettings
 from service.core.estimation.filtering.filter_state import FilterState
 from service.core.estimation.filtering.plant import TORQUES, has_torque, measured_settings, sensor_states
 from service.core.estimation.filtering.row_block import RowTrace
 from service.core.estimation.filtering.state_changes import sensors_of
-from service.core.estimation.smoothing.effective_row import EffectiveRow, effective_row, state_origin
 from service.pipeline.estimation.robust.model import RobustModel
 from service.records.levels.attitude import FloatArray, IntArray
 

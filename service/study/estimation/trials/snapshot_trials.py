@@ -30,8 +30,7 @@ from service.core.estimation.calibration.geometry_columns import (
     predict_jacobian,
 )
 from service.core.estimation.observability import crlb_deg
-from service.core.estimation.snapshot.snapshot import CarrierUse, Snapshots, solve_snapshots
-from service.core.estimation.snapshot.snapshot_steps import subset_orders
+from service.core.estimation.snapshot import CarrierUse, Snapshots, solve_snapshots, subset_orders
 from service.pipeline.carrier_model.expected_level import GeometryModel, expected_levels, geometry_model
 from service.records.calibration import GeometryFit
 from service.records.catalogue import CarrierPlan, Ephemeris

@@ -18,11 +18,7 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 from pyarrow import parquet
 
-from service.formats.tabular import parquet_stream
-from service.formats.tabular.measurement_file import (
-    MeasurementColumns,
-    measurement_bytes,
-)
+from service.formats.tabular import table_file
 from service.formats.tabular.series_tables import (
     ATTITUDE,
     EVENTS,
@@ -32,7 +28,14 @@ from service.formats.tabular.series_tables import (
     joined_table,
     plain_value,
 )
-from service.formats.tabular.table_file import Column, SeriesTable, TableFormat, table_bytes
+from service.formats.tabular.table_file import (
+    Column,
+    MeasurementColumns,
+    SeriesTable,
+    TableFormat,
+    measurement_bytes,
+    table_bytes,
+)
 from service.records.catalogue import Method, Site, Spacecraft
 from service.records.csv_guard import unguarded
 from service.records.epoch import format_epoch, parse_epoch
@@ -325,7 +328,7 @@ def test_parquet() -> None:
 
 @pytest.mark.parametrize("file_format", ["csv", "ndjson", "parquet"])
 def test_bytes_do_not_tell_in_which_pages_rows_came(file_format: TableFormat, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(parquet_stream, "GROUP_ROWS", 7)
+    monkeypatch.setattr(table_file, "GROUP_ROWS", 7)
     rows = [(k, f"word {k % 3}", k / 3, k % 2 == 0, k, [k]) for k in range(50)]
     whole = written(file_format, [rows])
     for size in (1, 3, 7, 20):

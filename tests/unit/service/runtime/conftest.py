@@ -20,8 +20,7 @@ from service.ports.archive import LIVE
 from service.records.calibration import Window
 from service.records.catalogue import Method, Site, Spacecraft
 from service.records.operations.work import JobState
-from service.runtime.jobs.alignment_service import AlignmentRequest
-from service.runtime.jobs.calibration import Calibrator
+from service.runtime.jobs.calibration import AlignmentRequest, Calibrator
 
 NOISE_DB = 0.05
 TRACKER = ("star_tracker",) * 3

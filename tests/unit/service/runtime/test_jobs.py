@@ -24,8 +24,8 @@ from service.records.storage import (
     SealedResults,
     SealingConfig,
 )
-from service.runtime.jobs.alignment_service import AlignmentRequest
 from service.runtime.jobs.archive_maintenance import MaintenanceDue, MaintenanceWork, runnable_methods
+from service.runtime.jobs.calibration import AlignmentRequest
 
 TRACKER = ("star_tracker",) * 3
 SIGMA = Axes(0.02, 0.01, 0.01)

@@ -18,7 +18,7 @@ from service.records.operations.work import JobState, Replay
 from service.runtime.jobs import replay as replay_run
 from service.runtime.jobs.job_runner import JobPieces, JobRunner, JobWorker
 from service.runtime.jobs.replay import ReplayRun, replay_work
-from service.runtime.live.chain_restart import state_of
+from service.runtime.live.journal_consumer import state_of
 
 #: replays of a busy morning, again and again
 pytestmark = pytest.mark.slow

@@ -15,7 +15,7 @@ from service.pipeline.config import ChainConfig, RobustConfig
 from service.ports.archive import LIVE
 from service.records.storage import Checkpoint
 from service.runtime.jobs import replay as replay_run
-from service.runtime.live import chain_restart, supervisor
+from service.runtime.live import journal_consumer, supervisor
 
 MINUTE_US, DAY_US = 60_000_000, 86_400_000_000
 FITS = fingerprint(ChainConfig())
@@ -46,8 +46,8 @@ def steps(monkeypatch):
         again.append(entry.number)
         return consume(chain, entry, *rest)
 
-    consume = chain_restart.consume
-    monkeypatch.setattr(chain_restart, "consume", noted)
+    consume = journal_consumer.consume
+    monkeypatch.setattr(journal_consumer, "consume", noted)
     return again
 
 
@@ -152,7 +152,7 @@ def test_a_checkpoint_that_does_not_fit_is_left_out(damage, lived_archive, opene
 
 
 def test_a_restart_says_how_far_it_is_and_ends_when_the_service_stops(busy, monkeypatch):
-    monkeypatch.setattr(chain_restart, "_ENTRIES_AT_ONCE", 20)
+    monkeypatch.setattr(journal_consumer, "_ENTRIES_AT_ONCE", 20)
     run_sql(busy, table.delete())
     consumed, seen = busy.storage.archive.head(SC).consumed_number, []
 
@@ -160,13 +160,13 @@ def test_a_restart_says_how_far_it_is_and_ends_when_the_service_stops(busy, monk
         seen.append(restarts.under_way)
         return len(seen) == 3
 
-    restarts = chain_restart.ChainRestarts(busy.storage, ChainConfig(), stops)
+    restarts = journal_consumer.ChainRestarts(busy.storage, ChainConfig(), stops)
     assert restarts.chain(SC, consumed) is None
     assert restarts.under_way is None
     assert [one.entries_left for one in seen] == [seen[0].entries_left - 20 * k for k in range(3)]
     assert seen[0].seconds_left is None
     assert seen[2].seconds_left > 0.0
-    chain, _ = chain_restart.ChainRestarts(busy.storage, ChainConfig(), lambda: False).chain(SC, consumed)
+    chain, _ = journal_consumer.ChainRestarts(busy.storage, ChainConfig(), lambda: False).chain(SC, consumed)
     assert chain.is_running
 
 
@@ -177,7 +177,7 @@ def test_a_replay_goes_on_from_the_newest_state_before_its_span(opened_archive, 
     station, begun = new_station(opened_archive), []
 
     def noted(*order):
-        begun.append(chain_restart.restored_checkpoint(*order))
+        begun.append(journal_consumer.restored_checkpoint(*order))
         return begun[-1]
 
     monkeypatch.setattr(replay_run, "restored_checkpoint", noted)

@@ -25,7 +25,7 @@ from service.records.inputs import Operation
 from service.records.levels.attitude import AppliedCommand, Status
 from service.runtime.live import journal_consumer
 from service.runtime.live import supervisor as live
-from service.runtime.live.chain_restart import ChainRestarts
+from service.runtime.live.journal_consumer import ChainRestarts
 from service.runtime.live.live_feed import LiveFeed
 
 

@@ -10,7 +10,7 @@ from geometry_payload import MINUTE, GeometryPayload, turned_angles
 from turned_wheels import ALIKE, MINUTE_US, SCENARIO, WRONG, turned_deg, turned_wheels
 
 from analyzer_sim.world.scenario.story import WheelTelemetry
-from service.core.estimation.calibration.checks.sensor_axes import MAPPINGS
+from service.core.estimation.calibration.sensor_axes import MAPPINGS
 from service.core.estimation.filtering.polarimeter import angle_deg, ratio_db
 from service.pipeline.calibration.geometry_calibration import (
     calibrate_geometry,

@@ -9,7 +9,9 @@ from geometry_payload import GeometryPayload
 from turned_wheels import ALIKE, INERTIA_KG_M2, WRONG, Turned, turned_deg, turned_wheels
 
 from analyzer_sim.world.scenario.story import WheelTelemetry
-from service.core.estimation.calibration.checks.responses import (
+from service.core.estimation.calibration.geometry_calibration import fit_geometry
+from service.core.estimation.calibration.geometry_columns import CarrierGeometry
+from service.core.estimation.calibration.responses import (
     AngleResponse,
     angle_response,
     feed_leakage,
@@ -17,15 +19,13 @@ from service.core.estimation.calibration.checks.responses import (
     momentum_response,
     rate_response,
 )
-from service.core.estimation.calibration.checks.sensor_axes import (
+from service.core.estimation.calibration.sensor_axes import (
     DECISIVE,
     MAPPINGS,
     MIN_CARRIERS,
     FreeResponse,
     judge_axes,
 )
-from service.core.estimation.calibration.geometry_calibration import fit_geometry
-from service.core.estimation.calibration.geometry_columns import CarrierGeometry
 from service.core.estimation.filtering.filter_model import PolarimeterModel
 from service.core.estimation.filtering.polarimeter import AngleBlock
 from service.pipeline.calibration.geometry_rows import geometry_rows

@@ -13,9 +13,9 @@ from service.core.estimation.calibration.calibration_bins import (
     still_stretches,
     stretch_means,
 )
-from service.core.estimation.calibration.checks.responses import gathered_torque
 from service.core.estimation.calibration.geometry_columns import daily_columns
 from service.core.estimation.calibration.joint_tukey import fit_daily, fit_separable
+from service.core.estimation.calibration.responses import gathered_torque
 from service.core.estimation.calibration.whitened_fit import ColouredNoise, stretch_variance_db2, whitened_rows
 from service.core.estimation.design import FAR_YAW_DEG, recommended_turns
 from service.core.estimation.filtering.filter_model import FilterSettings, MomentumModel

@@ -8,21 +8,7 @@ import pytest
 from filter_rows import after_records, records_of, step
 from wheel_filter import WHEELS, H
 
-from service.core.estimation.filtering import row_block
-from service.core.estimation.filtering.filter_model import (
-    ATTITUDE,
-    FREE_REFERENCE_DB2,
-    RAIN,
-    FilterSettings,
-    Gaussian,
-    PolarimeterModel,
-    no_motion,
-)
-from service.core.estimation.filtering.filter_state import start
-from service.core.estimation.filtering.plant import filter_model
-from service.core.estimation.filtering.state_changes import with_torque
-from service.core.estimation.filtering.wheel_momentum import FREE_N_M_S
-from service.core.estimation.smoothing.effective_row import (
+from service.core.estimation.effective_row import (
     EffectiveRow,
     LinearStep,
     WhitenedRow,
@@ -37,6 +23,20 @@ from service.core.estimation.smoothing.effective_row import (
     smoothed_state,
     state_origin,
 )
+from service.core.estimation.filtering import row_block
+from service.core.estimation.filtering.filter_model import (
+    ATTITUDE,
+    FREE_REFERENCE_DB2,
+    RAIN,
+    FilterSettings,
+    Gaussian,
+    PolarimeterModel,
+    no_motion,
+)
+from service.core.estimation.filtering.filter_state import start
+from service.core.estimation.filtering.plant import filter_model
+from service.core.estimation.filtering.state_changes import with_torque
+from service.core.estimation.filtering.wheel_momentum import FREE_N_M_S
 
 STATES, ROWS, SEED = 6, 25, 20261124
 

@@ -10,12 +10,12 @@ from service.core.estimation.calibration.geometry_columns import (
     predict_jacobian,
 )
 from service.core.estimation.observability import crlb_deg, judge_set
-from service.core.estimation.snapshot.snapshot import (
+from service.core.estimation.snapshot import (
     CarrierUse,
     group_memberships,
     solve_snapshots,
+    subset_orders,
 )
-from service.core.estimation.snapshot.snapshot_steps import subset_orders
 
 SEED = 31
 ATTITUDE = np.array([0.2, -0.15, 0.1])

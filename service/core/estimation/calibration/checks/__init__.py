@@ -1,1 +1,0 @@
-"""Checks of a calibration: axes of the sensors, places of the stations."""

@@ -1,1 +1,0 @@
-"""Smoothing: states of past rows after the rows that came later."""

@@ -1,1 +1,0 @@
-"""Attitude of one epoch alone, robust against several wrong carriers."""
