@@ -20,8 +20,7 @@ from typer.testing import CliRunner
 from analyzer_sim.__main__ import build_parser
 from analyzer_sim.serving import FAULT_NAMES
 from service.cli.app import app
-from service.cli.client_types import TYPES, client_types
-from service.cli.settings_reference import settings_markdown
+from service.cli.reference import TYPES, client_types, settings_markdown
 from service.client import documents
 from service.composition.setting_entries import setting_entries
 from service.composition.settings import Settings

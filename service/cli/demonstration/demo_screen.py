@@ -13,8 +13,7 @@ from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextC
 from rich.table import Table
 from rich.text import Text
 
-from service.cli.demonstration.invitation import commands_to_try
-from service.cli.demonstration.persons import Person
+from service.cli.demonstration.persons import Person, commands_to_try
 from service.cli.shift.tables import SEVERITY_STYLES, sentence
 from service.client.documents import Attitude, Json
 from service.records.epoch import US_PER_S, format_epoch, parse_epoch

@@ -9,13 +9,14 @@ calibration with warnings stayed a draft.
 import json
 import shlex
 import signal
+import sys
+from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
 from service.cli.command_group import end, new_app
-from service.cli.importing.dialogue import EXIT_DIFFERENT, EXIT_STOPPED, answer, is_terminal, printable, shown, stop
 from service.cli.operation.connection import (
     DEFAULT_KEY_ENVIRONMENT,
     DEFAULT_SERVICE,
@@ -30,14 +31,62 @@ if TYPE_CHECKING:
     from service.cli.importing.manifest import FolderManifest, Guess
     from service.client.service_client import ServiceClient
 
+
+#: the service holds something else, which was not changed, or rows were refused
+EXIT_DIFFERENT = 3
+EXIT_STOPPED = 1
+
+
+class FileRole(StrEnum):
+    """Role of a file."""
+
+    SPACECRAFT = "spacecraft"
+    CARRIERS = "carriers"
+    EPHEMERIS = "ephemeris"
+    REFERENCES = "references"
+    POWERS = "powers"
+
+
+def is_terminal() -> bool:
+    """Return whether a person can be asked."""
+    return sys.stdin.isatty() and sys.stderr.isatty()
+
+
+def printable(text: str) -> str:
+    """Return a text that the terminal's encoding can hold."""
+    encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
+    return text.encode(encoding, "backslashreplace").decode(encoding)
+
+
+def shown(value: Any) -> str:
+    """Return a value for people, in words that a statement takes."""
+    if isinstance(value, dict):
+        # names may hold commas and colons
+        return json.dumps(value, ensure_ascii=False)
+    return " + ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+
+
+def answer(question: str, default: Any) -> Any:
+    """Return what a person states on a terminal, as a manifest would."""
+    from service.cli.importing.manifest import read_statement
+
+    likely = None if default is None else shown(default)
+    return read_statement(str(typer.prompt(printable(question), default=likely, err=True)).strip())
+
+
+def stop(*_: object) -> NoReturn:
+    """Let a signal end the command as Ctrl-C does."""
+    raise KeyboardInterrupt
+
+
 _DRAFT_NEXT = (
     ", its warnings stand and nothing was aligned: correct what they name and run the command again, or accept them "
     'with --accept "REASON", which is stored with the calibration'
 )
-app = new_app()
+import_app = new_app()
 
 
-@app.command("import")
+@import_app.command("import")
 def import_files(
     files: Annotated[list[Path], typer.Argument(help="Folder with the files, or files of one folder.", exists=True)],
     *,
@@ -58,8 +107,8 @@ def import_files(
     if propose and (calibrate or align or dry_run):
         end("--propose sends nothing; run the command again without it")
     # validation and numpy cost more than the command line itself
+    from service.cli.importing.folder import require_files
     from service.cli.importing.manifest import NAME, read_manifest
-    from service.cli.importing.steps import require_files
     from service.formats.foreign.table import ForeignTableError
 
     folder, named = _folder_of(files)
@@ -203,8 +252,8 @@ def _import(
 ) -> dict[str, Any]:
     """Read everything, then create what is missing and send the files; end where the service has something else."""
     from service.cli.importing.catalogue import compared
+    from service.cli.importing.folder import read_catalogue, read_tables
     from service.cli.importing.sending import SendOrder, SendState, send_powers, send_readings
-    from service.cli.importing.steps import read_catalogue, read_tables
 
     own = read_catalogue(folder, manifest)
     comparison = compared(client, own)
@@ -240,8 +289,8 @@ def _operate(
     is_quiet: bool,
 ) -> dict[str, Any]:
     """Calibrate and align as far as that was asked for; nothing is aligned with a calibration that stays a draft."""
+    from service.cli.importing.folder import align, calibrate
     from service.cli.importing.sending import wait_for_angles
-    from service.cli.importing.steps import align, calibrate
 
     is_calibrated, is_aligned, reason, patience_s = options
     spacecraft_id, found = done["spacecraft"], dict[str, Any]()

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from service.cli.command_group import end
-from service.cli.importing.dialogue import (
+from service.cli.importing.import_command import (
     EXIT_DIFFERENT,
     EXIT_STOPPED,
     FileRole,

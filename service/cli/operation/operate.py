@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.cli.command_group import end
-from service.cli.extras import Scheduler
+from service.cli.command_group import Scheduler, end
 from service.cli.operation.connection import (
     DEFAULT_KEY_ENVIRONMENT,
     DEFAULT_SERVICE,
@@ -22,6 +21,7 @@ from service.cli.operation.connection import (
 
 if TYPE_CHECKING:
     from service.client.service_client import ServiceClient
+
 
 Start = Annotated[str, typer.Option(help="RFC 3339 start, inclusive.")]
 Stop = Annotated[str, typer.Option(help="RFC 3339 stop, exclusive.")]
@@ -182,3 +182,25 @@ def _shown(what: str) -> Iterator[Callable[[float], None]]:
     with Progress(console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task(what, total=1.0)
         yield lambda share: progress.update(task, completed=share)
+
+
+@on_service
+def replays(
+    client: "ServiceClient",
+    spacecraft: SpacecraftOption,
+    delete: Annotated[int | None, typer.Option(help="Delete the replay of this number first.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """List the versions that replays wrote, or delete one."""
+    if delete is not None:
+        client.delete_replay(spacecraft, delete)
+    listed = list(client.replays(spacecraft))
+    for each in listed:
+        typer.echo(json.dumps(each) if as_json else _line(each))
+
+
+def _line(each: dict[str, Any]) -> str:
+    """Return one replay as a line."""
+    state = each["state"] if each["state"] in {"done", "failed"} else f"{each['state']} {each['progress']:.0%}"
+    figures = f"{each['attitude_rows']} rows, {each['torque_rows']} torques, {each['size_bytes'] / 1e6:.1f} MB"
+    return f"{each['version']}  {each['start']} to {each['stop']}  {state}  {figures}"

@@ -124,7 +124,7 @@ def _draw(planning: "CarrierPlanning", figure: Path | None, report: Path | None)
 
             draw_planning(planning, figure)
         if report is not None:
-            from service.cli.planning.report_folder import write_report
+            from service.cli.planning.report import write_report
 
             write_report(planning, report)
     except (OSError, ValueError) as error:

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from service.cli.command_group import end
-from service.cli.extras import require
+from service.cli.command_group import end, require
 from service.cli.operation.connection import (
     DEFAULT_KEY_ENVIRONMENT,
     DEFAULT_SERVICE,

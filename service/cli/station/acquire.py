@@ -14,8 +14,8 @@ from typing import Annotated
 
 import typer
 
+from service.cli.command_group import state_folder
 from service.cli.operation.connection import key_of, stored_key
-from service.cli.station.state_folder import state_folder
 from service.records.epoch import US_PER_S, format_epoch
 
 

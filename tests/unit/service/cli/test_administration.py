@@ -23,10 +23,10 @@ from typer.testing import CliRunner
 
 from db.storage import SqlStorage
 from service.cli.app import app
+from service.cli.command_group import state_folder
 from service.cli.operation import connection
 from service.cli.operation.profile import read_profile
 from service.cli.station.acquire import JsonLines, acquire
-from service.cli.station.state_folder import state_folder
 from service.records.catalogue import Carrier, Site, Spacecraft
 from service.records.levels.measurement import MeasurementBatch
 from service.records.operations.access import AuditEvent

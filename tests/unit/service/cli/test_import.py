@@ -174,7 +174,7 @@ def folder(tmp_path: Path) -> Path:
 
 def run(folder: Path, *options: str) -> Result:
     """Run the command."""
-    return CliRunner().invoke(command.app, [str(folder), *options])
+    return CliRunner().invoke(command.import_app, [str(folder), *options])
 
 
 def propose(folder: Path, *stated: str) -> dict[str, Any]:

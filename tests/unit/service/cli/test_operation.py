@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from service.cli.app import app
+from service.cli.operation import comparison as compare_module
 from service.cli.operation import connection
 from service.cli.operation import operate as operate_module
-from service.cli.operation.comparison import compare as compare_module
 from service.cli.operation.connection import connected
 from service.cli.operation.profile import ProfileError, UserProfile, profile_path, read_profile, write_profile
 from service.records.epoch import format_epoch

@@ -19,7 +19,7 @@ from service.cli.importing.catalogue import read_plan
 from service.cli.importing.manifest import write_manifest
 from service.cli.planning import plan as plan_module
 from service.cli.planning.plan import plan
-from service.cli.planning.quiet_plan import read_powers
+from service.cli.planning.sources import read_powers
 from service.core.geometry.frames import station_direction
 from service.formats.carrier_plan_csv import COLUMNS
 from service.records.catalogue import CarrierPlan
