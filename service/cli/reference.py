@@ -8,8 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from service.composition.setting_entries import setting_entries
-from service.composition.settings import Settings
+from service.composition.settings import Settings, setting_entries
 from service.records.setting import ORIGINS
 
 

@@ -132,12 +132,12 @@ def failures_shown(*failures: type[Exception]) -> Iterator[None]:
         end(f"the study failed: {error}", cause=error)
 
 
-def draw(folder: Path | None, study: str, drawn: Callable[[Any, Path], Iterable[Path]]) -> None:
-    """Draw figures into a folder, where one is given, by the module ``figures`` of a study, and name them."""
+def draw(folder: Path | None, module: str, drawn: Callable[[Any, Path], Iterable[Path]]) -> None:
+    """Draw figures into a folder, where one is given, by a module of studies, and name them."""
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
         # matplotlib costs a second that only figures need
-        for path in drawn(import_module(f"service.study.{study}.figures"), folder):
+        for path in drawn(import_module(f"service.study.{module}"), folder):
             typer.echo(f"drawn: {path}", err=True)
 
 
@@ -182,7 +182,7 @@ def estimation(
     plan = CampaignPlan(_scenarios(scenario, group), seeds, WorkerChoice(workers, scheduler), operation_days)
     with failures_shown(ExportFailedError, BrokenExecutor, ClusterError, OSError), counted("worlds") as show:
         campaign = run_campaign(plan, show)
-    draw(figures, "estimation", lambda study, folder: study.draw_campaign(campaign, folder))
+    draw(figures, "estimation.figures", lambda study, folder: study.draw_campaign(campaign, folder))
     command = _estimation_command(scenario, group, seeds, operation_days)
     if as_json:
         typer.echo(json.dumps(as_document(campaign, command), allow_nan=False))
@@ -286,7 +286,7 @@ def closed_loop(
     plan = LoopPlan(scenarios, runs, WorkerChoice(workers, scheduler), sensings, unit)
     with failures_shown(PlantFailedError, BrokenExecutor, ClusterError, OSError), counted("loops") as show:
         campaign = run_loops(plan, show, flights)
-    draw(figures, "closed_loop", lambda study, folder: study.draw_campaign(campaign, folder))
+    draw(figures, "closed_loop.figures", lambda study, folder: study.draw_campaign(campaign, folder))
     if as_json:
         typer.echo(json.dumps(as_document(campaign, _loops_command(plan)), allow_nan=False))
     elif as_markdown:
@@ -332,7 +332,7 @@ def limit_cycles(
 
     done = reproduce()
     suffix = "svg" if svg else "png"
-    draw(figures, "limit_cycles", lambda study, folder: study.draw_figures(folder, suffix=suffix))
+    draw(figures, "limit_cycles.figures", lambda study, folder: study.draw_figures(folder, suffix=suffix))
     if as_json:
         typer.echo(json.dumps(as_document(done), allow_nan=False))
     elif as_markdown:
@@ -352,7 +352,7 @@ def orbital_frame(
 ) -> None:
     """Fly the orbital-frame model and print its figures beside the published ones."""
     from service.core.dynamics.orbital_frame_kernel import compiled_fly, fly
-    from service.study.orbital_frame.reproduction import reproduce
+    from service.study.orbital_frame import reproduce
 
     kernel = fly if plain else compiled_fly()
     began_s = time.monotonic()
@@ -375,7 +375,7 @@ def rf_attitude(
     """Fit the published daily curve and compare sessions with other sensors, beside the published figures."""
     from service.study.estimation.flight.drive import UndrivenError
     from service.study.estimation.flight.world import ExportFailedError
-    from service.study.rf_attitude.reproduction import reproduce
+    from service.study.rf_attitude import reproduce
 
     with failures_shown(ExportFailedError, UndrivenError, OSError), named_steps() as show:
         rows, sessions = reproduce(seeds, show)

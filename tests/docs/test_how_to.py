@@ -33,8 +33,7 @@ from service.frontend.acquisition.states import (
 from service.frontend.drivers.dialects import DIALECTS, SINGLE, Dialect
 from service.frontend.link_report import RUNNING, SERVICE_AWAY
 from service.frontend.measurement_task import MeasurementTask, parse_task
-from service.frontend.tasks.station_file import load_station
-from service.frontend.tasks.task_plan import plan_task
+from service.frontend.tasks.task_plan import load_station, plan_task
 from service.records.operations.work import STOPPED
 
 AXES = ("yaw", "roll", "pitch")

@@ -22,8 +22,7 @@ from analyzer_sim.serving import FAULT_NAMES
 from service.cli.app import app
 from service.cli.reference import TYPES, client_types, settings_markdown
 from service.client import documents
-from service.composition.setting_entries import setting_entries
-from service.composition.settings import Settings
+from service.composition.settings import Settings, setting_entries
 from service.core.estimation.filtering.row_block import EXCLUSIONS
 from service.core.geometry.frames import AntennaDirection
 from service.pipeline.alarms.conditions import condition_table

@@ -10,22 +10,10 @@ from service.api.context import ApiContext, Context, SpacecraftId
 from service.api.problems.problems import RequestProblemError
 from service.api.protocol.paging import EVERYTHING, window_of
 from service.api.protocol.requests import accepts, body_of, optional_body
+from service.api.schemas import calibrations as documents
 from service.api.schemas.base import LiveMethod
-from service.api.schemas.calibrations import (
-    ActivationDocument,
-    AlignmentAnswer,
-    AlignmentDocument,
-    AlignmentList,
-    AlignmentMadeAnswer,
-    CalibrationAnswer,
-    CalibrationDocument,
-    CalibrationList,
-    CalibrationStartedAnswer,
-    WindowHarmonicsAnswer,
-)
 from service.api.schemas.carrier_selection import CarrierSelectionAnswer, Turns
-from service.pipeline.planning.candidates import WHEEL_PERIOD_S, stated_wheels
-from service.pipeline.planning.planning import Rule
+from service.pipeline.planning.planning import WHEEL_PERIOD_S, Rule, stated_wheels
 from service.records.calibration import Calibration
 from service.records.catalogue import Method
 from service.records.operations.work import JobKind
@@ -35,15 +23,15 @@ alignments_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/alignments", t
 
 
 @alignments_router.post(
-    "", status_code=HTTPStatus.CREATED, dependencies=[MAY_OPERATE], openapi_extra=accepts(AlignmentDocument)
+    "", status_code=HTTPStatus.CREATED, dependencies=[MAY_OPERATE], openapi_extra=accepts(documents.AlignmentDocument)
 )
 def align(
     spacecraft_id: SpacecraftId,
-    body: Annotated[AlignmentDocument, body_of(AlignmentDocument)],
+    body: Annotated[documents.AlignmentDocument, body_of(documents.AlignmentDocument)],
     context: Context,
     principal: CurrentPrincipal,
     response: Response,
-) -> AlignmentMadeAnswer:
+) -> documents.AlignmentMadeAnswer:
     """Set angles and reference powers of every method; angles by hand need an approver's key.
 
     Rows that an earlier alignment computed stay, also at the same epoch: `rows_kept`.
@@ -54,22 +42,22 @@ def align(
     recomputed, kept = context.storage.results.rows_after(spacecraft_id, alignment)
     context.supervisor.notify(spacecraft_id)
     response.headers["Location"] = f"/api/v1/spacecraft/{spacecraft_id}/alignments/{alignment.id}"
-    return AlignmentMadeAnswer.of(alignment, rows_recomputed=recomputed, rows_kept=kept)
+    return documents.AlignmentMadeAnswer.of(alignment, rows_recomputed=recomputed, rows_kept=kept)
 
 
 @alignments_router.get("")
-def list_alignments(spacecraft_id: SpacecraftId, context: Context) -> AlignmentList:
+def list_alignments(spacecraft_id: SpacecraftId, context: Context) -> documents.AlignmentList:
     """List alignments, newest first; the newest holds."""
     found = context.storage.results.alignments(spacecraft_id)
-    return AlignmentList(rows=[AlignmentAnswer.of(alignment) for alignment in found])
+    return documents.AlignmentList(rows=[documents.AlignmentAnswer.of(alignment) for alignment in found])
 
 
 @alignments_router.get("/{alignment_id}")
 def get_alignment(
     spacecraft_id: SpacecraftId, alignment_id: Annotated[int, Path(ge=1, le=2**31 - 1)], context: Context
-) -> AlignmentAnswer:
+) -> documents.AlignmentAnswer:
     """Return one alignment."""
-    return AlignmentAnswer.of(context.storage.results.alignment(spacecraft_id, alignment_id))
+    return documents.AlignmentAnswer.of(context.storage.results.alignment(spacecraft_id, alignment_id))
 
 
 def _require_approver(principal: Principal) -> None:
@@ -87,31 +75,33 @@ CalibrationId = Annotated[int, Path(ge=1, le=2**31 - 1)]
     "",
     status_code=HTTPStatus.ACCEPTED,
     dependencies=[MAY_OPERATE],
-    openapi_extra=accepts(CalibrationDocument),
+    openapi_extra=accepts(documents.CalibrationDocument),
 )
 def start_calibration(
     spacecraft_id: SpacecraftId,
-    body: Annotated[CalibrationDocument, body_of(CalibrationDocument)],
+    body: Annotated[documents.CalibrationDocument, body_of(documents.CalibrationDocument)],
     context: Context,
     principal: CurrentPrincipal,
     response: Response,
-) -> CalibrationStartedAnswer:
+) -> documents.CalibrationStartedAnswer:
     """Start a calibration; its job shows when the draft is complete."""
     context.storage.catalogue.spacecraft(spacecraft_id)
     draft, job = context.calibrator.start(spacecraft_id, body.to_record(), principal.name)
     response.headers["Location"] = f"/api/v1/spacecraft/{spacecraft_id}/calibrations/{draft.id}"
-    return CalibrationStartedAnswer(id=draft.id, job=job.id)
+    return documents.CalibrationStartedAnswer(id=draft.id, job=job.id)
 
 
 @calibrations_router.get("")
-def list_calibrations(spacecraft_id: SpacecraftId, context: Context) -> CalibrationList:
+def list_calibrations(spacecraft_id: SpacecraftId, context: Context) -> documents.CalibrationList:
     """List calibrations, newest first."""
     found = context.storage.results.calibrations(spacecraft_id)
-    return CalibrationList(rows=[_answer(context, spacecraft_id, calibration) for calibration in found])
+    return documents.CalibrationList(rows=[_answer(context, spacecraft_id, calibration) for calibration in found])
 
 
 @calibrations_router.get("/{calibration_id}")
-def get_calibration(spacecraft_id: SpacecraftId, calibration_id: CalibrationId, context: Context) -> CalibrationAnswer:
+def get_calibration(
+    spacecraft_id: SpacecraftId, calibration_id: CalibrationId, context: Context
+) -> documents.CalibrationAnswer:
     """Return one calibration."""
     return _answer(context, spacecraft_id, context.storage.results.calibration(spacecraft_id, calibration_id))
 
@@ -125,27 +115,27 @@ def delete_calibration(spacecraft_id: SpacecraftId, calibration_id: CalibrationI
 @calibrations_router.post(
     "/{calibration_id}:activate",
     dependencies=[MAY_OPERATE],
-    openapi_extra=accepts(ActivationDocument, is_required=False),
+    openapi_extra=accepts(documents.ActivationDocument, is_required=False),
 )
 def activate_calibration(
     spacecraft_id: SpacecraftId,
     calibration_id: CalibrationId,
-    body: Annotated[ActivationDocument, optional_body(ActivationDocument)],
+    body: Annotated[documents.ActivationDocument, optional_body(documents.ActivationDocument)],
     context: Context,
-) -> CalibrationAnswer:
+) -> documents.CalibrationAnswer:
     """Make a calibration the active one of its method; the one before it is superseded, history stays.
 
     One whose turns are inconsistent is refused without `override_reason`.
     """
     calibration = context.calibrator.activate(spacecraft_id, calibration_id, body.override_reason)
     context.supervisor.notify(spacecraft_id)
-    return CalibrationAnswer.of(calibration)
+    return documents.CalibrationAnswer.of(calibration)
 
 
-def _answer(context: ApiContext, spacecraft_id: str, calibration: Calibration) -> CalibrationAnswer:
+def _answer(context: ApiContext, spacecraft_id: str, calibration: Calibration) -> documents.CalibrationAnswer:
     unfinished_job_of = context.storage.results.unfinished_job_of
     job = unfinished_job_of(spacecraft_id, JobKind.CALIBRATION, str(calibration.id))
-    return CalibrationAnswer.of(calibration, job=job)
+    return documents.CalibrationAnswer.of(calibration, job=job)
 
 
 carrier_selection_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/carrier-selection", tags=["calibration"])
@@ -187,7 +177,7 @@ def get_harmonics(
     stop: Annotated[str, Query(max_length=64, description="RFC 3339, exclusive")],
     carrier: Annotated[str | None, Query(max_length=64, description="Default: all carriers of the newest plan")] = None,
     method: LiveMethod = Method.PAPER,
-) -> WindowHarmonicsAnswer:
+) -> documents.WindowHarmonicsAnswer:
     """Fit the daily change of a window; nothing is stored.
 
     `paper`: one harmonic, 3 sigma. `robust`: trimmed start and Tukey's estimate of the dish law where the ephemeris has
@@ -196,4 +186,4 @@ def get_harmonics(
     window = window_of(start, stop, EVERYTHING)
     context.storage.catalogue.spacecraft(spacecraft_id)
     harmonics = window_harmonics(context.storage, spacecraft_id, window, carrier, method, context.calibration)
-    return WindowHarmonicsAnswer.of(window, method, harmonics)
+    return documents.WindowHarmonicsAnswer.of(window, method, harmonics)

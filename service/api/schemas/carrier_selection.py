@@ -7,10 +7,12 @@ import numpy as np
 from pydantic import BeforeValidator
 
 from service.api.schemas.base import AnglesAnswer, Answer, Figure
-from service.pipeline.planning.candidates import Candidates, MomentumGain, MotionGain
 from service.pipeline.planning.planning import (
     AVERAGING_SPANS_S,
+    Candidates,
     CarrierSet,
+    MomentumGain,
+    MotionGain,
     Recommendation,
     TurnStep,
     turn_timetable,

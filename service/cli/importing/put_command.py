@@ -18,16 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from service.cli.command_group import end
-from service.cli.importing.import_command import (
-    EXIT_DIFFERENT,
-    EXIT_STOPPED,
-    FileRole,
-    answer,
-    is_terminal,
-    printable,
-    shown,
-    stop,
-)
+from service.cli.importing import dialogue
 from service.cli.operation.connection import (
     DEFAULT_KEY_ENVIRONMENT,
     DEFAULT_SERVICE,
@@ -46,18 +37,18 @@ if TYPE_CHECKING:
 
 def _spacecraft_of(ctx: typer.Context, given: str) -> str:
     """Return the spacecraft that is meant; the file of one names it itself."""
-    return "" if ctx.params.get("kind") is FileRole.SPACECRAFT else chosen_spacecraft(ctx, given)
+    return "" if ctx.params.get("kind") is dialogue.FileRole.SPACECRAFT else chosen_spacecraft(ctx, given)
 
 
 #: parameters of options that state a mapping, with their form
 _PAIRS = {"map_": "NAME=CARRIER or NAME=AXIS", "sigma_deg": "AXIS=DEG"}
 #: options whose field has another name
 _OPTIONS = {"carriers": "--map", "columns": "--map", "map_": "--map", "time_columns": "--time-column"}
-_CATALOGUE = (FileRole.SPACECRAFT, FileRole.CARRIERS, FileRole.EPHEMERIS)
+_CATALOGUE = (dialogue.FileRole.SPACECRAFT, dialogue.FileRole.CARRIERS, dialogue.FileRole.EPHEMERIS)
 
 
 def put(
-    kind: Annotated[FileRole, typer.Argument(help="What the file holds.")],
+    kind: Annotated[dialogue.FileRole, typer.Argument(help="What the file holds.")],
     file: Annotated[Path, typer.Argument(help="The file.", dir_okay=False, exists=True)],
     *,
     spacecraft: Annotated[
@@ -122,22 +113,22 @@ def put(
     stated |= {name: _pairs(stated[name], name) for name in _PAIRS if name in stated}
     if kind in _CATALOGUE and stated:
         end(f"{_option_of(next(iter(stated)))} is stated for tables only")
-    signal.signal(signal.SIGTERM, stop)
+    signal.signal(signal.SIGTERM, dialogue.stop)
     order = _PutOrder(kind, file, spacecraft, stated, options)
-    with connected(service, key_env, retries=0 if kind is FileRole.POWERS else 3, timeout_s=60.0) as client:
+    with connected(service, key_env, retries=0 if kind is dialogue.FileRole.POWERS else 3, timeout_s=60.0) as client:
         try:
             _PUTTERS[kind](client, order)
         except ForeignTableError as error:
-            end(printable(f"{file}: {error}"), cause=error)
+            end(dialogue.printable(f"{file}: {error}"), cause=error)
         except KeyboardInterrupt as error:
-            end("stopped; the same command continues where this one stopped", EXIT_STOPPED, error)
+            end("stopped; the same command continues where this one stopped", dialogue.EXIT_STOPPED, error)
 
 
 @dataclass(frozen=True, slots=True)
 class _PutOrder:
     """File to be stored, and what a person states of it."""
 
-    kind: FileRole
+    kind: dialogue.FileRole
     file: Path
     spacecraft: str
     #: fields of a table
@@ -147,12 +138,12 @@ class _PutOrder:
 
     def report(self, document: dict[str, Any], sentence: str) -> None:
         """Print the outcome: JSON for programs, a sentence for people."""
-        typer.echo(json.dumps(document) if self.options["as_json"] else printable(sentence))
+        typer.echo(json.dumps(document) if self.options["as_json"] else dialogue.printable(sentence))
 
     def show(self, rows: Iterable[tuple[str, Any]]) -> None:
         """Print what is understood, for people."""
         for name, value in rows if not self.options["as_json"] else ():
-            typer.echo(printable(f"  {name:24} {shown(value)}"))
+            typer.echo(dialogue.printable(f"  {name:24} {dialogue.shown(value)}"))
 
     def report_rows(self, document: dict[str, Any], more: str = "") -> None:
         """Print what became of the rows of a table; end with 3 where some were not stored."""
@@ -162,7 +153,7 @@ class _PutOrder:
         lines = (f"{document['rows']} rows; nothing was sent",) if is_dry else (counts, *document["faults"], more)
         self.report(document, "\n".join(filter(None, lines)))
         if document["unreadable"] or document.get("refused"):
-            raise typer.Exit(EXIT_DIFFERENT)
+            raise typer.Exit(dialogue.EXIT_DIFFERENT)
 
     def fields(self, mapping: str, source: str) -> dict[str, Any]:
         """Return the fields of a statement; the mapping of its columns has the stated name."""
@@ -170,7 +161,7 @@ class _PutOrder:
 
     def warn(self, text: str) -> None:
         """Print a warning."""
-        typer.echo(printable(f"warning: {text}"), err=True)
+        typer.echo(dialogue.printable(f"warning: {text}"), err=True)
 
 
 def _pairs(given: list[str], option: str) -> dict[str, str]:
@@ -219,7 +210,7 @@ def _put_spacecraft(client: "ServiceClient", order: _PutOrder) -> None:
         verdict = f"spacecraft {document.id} is changed"
     order.report({"understood": stated, "is_known": known is not None, "differences": list(differences)}, verdict)
     if differences and not is_change:
-        raise typer.Exit(EXIT_DIFFERENT)
+        raise typer.Exit(dialogue.EXIT_DIFFERENT)
 
 
 def _put_carriers(client: "ServiceClient", order: _PutOrder) -> None:
@@ -338,11 +329,11 @@ def _rows_of(
         read = interpretation_of(order.file, statement, carriers, system_now_us(), is_simulated=is_simulated)
         if not read.questions and read.rows is not None:
             break
-        if order.options["as_json"] or not is_terminal():
-            end(printable(_open_questions(order, read)))
+        if order.options["as_json"] or not dialogue.is_terminal():
+            end(dialogue.printable(_open_questions(order, read)))
         order.show(_understood(read))
         for question in read.questions:
-            fields[question.field] = answer(_question(question), question.default)
+            fields[question.field] = dialogue.answer(_question(question), question.default)
     odd = [note for note in read.notes if note.startswith("no carrier of the plan")]
     if odd and order.options["refuse_unknown"]:
         raise ForeignTableError(odd[0])
@@ -355,18 +346,18 @@ def _rows_of(
 
 
 _PUTTERS = {
-    FileRole.SPACECRAFT: _put_spacecraft,
-    FileRole.CARRIERS: _put_carriers,
-    FileRole.EPHEMERIS: _put_orbit,
-    FileRole.REFERENCES: _put_references,
-    FileRole.POWERS: _put_powers,
+    dialogue.FileRole.SPACECRAFT: _put_spacecraft,
+    dialogue.FileRole.CARRIERS: _put_carriers,
+    dialogue.FileRole.EPHEMERIS: _put_orbit,
+    dialogue.FileRole.REFERENCES: _put_references,
+    dialogue.FileRole.POWERS: _put_powers,
 }
 
 
 def _understood(interpretation: "Interpretation") -> list[tuple[str, str]]:
     """Return how a table is read, for people."""
     asked = {each.field for each in interpretation.questions}
-    fields = [(name, shown(value)) for name, value in interpretation.found.items() if name not in asked]
+    fields = [(name, dialogue.shown(value)) for name, value in interpretation.found.items() if name not in asked]
     return [*fields, *(("note", note) for note in interpretation.notes)]
 
 
@@ -388,7 +379,7 @@ def _open_questions(order: _PutOrder, interpretation: "Interpretation") -> str:
     command = ["soo", *words]
     for question in interpretation.questions:
         option, default = _option_of(question.field), question.default
-        lines.append(f"  {_question(question)}" + ("" if default is None else f"; likely {shown(default)}"))
+        lines.append(f"  {_question(question)}" + ("" if default is None else f"; likely {dialogue.shown(default)}"))
         if isinstance(default, dict):
             values = [f"{name}={value}" for name, value in default.items()]
         elif option == "--map" or default is None:

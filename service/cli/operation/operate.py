@@ -135,7 +135,7 @@ def replay(
     else:
         report = _replayed_in_parts(spacecraft, body, workers, scheduler, database)
     if compare:
-        from service.study.demonstration.archive_check import METHODS, compare_with_live
+        from service.study.demonstration.judgement import METHODS, compare_with_live
 
         methods = (method,) if method else METHODS
         with connected(service, key_env) as client:

@@ -28,8 +28,7 @@ from service.pipeline.calibration.geometry_rows import CalibrationError
 from service.pipeline.config import CalibrationConfig, InterlockConfig
 from service.pipeline.inputs.catalogue_checks import contradiction_of
 from service.pipeline.planning.assumed_beams import AssumedPayload, offered_sites
-from service.pipeline.planning.candidates import Candidates, candidates_of
-from service.pipeline.planning.planning import Recommendation, Rule, recommend
+from service.pipeline.planning.planning import Candidates, Recommendation, Rule, candidates_of, recommend
 from service.pipeline.planning.quiet_days import (
     ALLAN_SPANS_S,
     QuietDays,
@@ -356,7 +355,7 @@ class PlanRequest:
 
     def wheels(self, spacecraft: Spacecraft) -> "WheelStatistics | None":
         """Return the wheels that the request or the spacecraft states."""
-        from service.pipeline.planning.candidates import WHEEL_PERIOD_S, stated_wheels
+        from service.pipeline.planning.planning import WHEEL_PERIOD_S, stated_wheels
 
         figures = self.wheels_n_m_s, self.wheel_sigma_n_m_s
         return stated_wheels(spacecraft.onboard.momentum, *figures, self.wheel_period_s or WHEEL_PERIOD_S)

@@ -95,7 +95,7 @@ def acquire(
     # plans, spool and client cost half a second that a wrong option need not pay
     from service.cli.station.acquisition_run import Delivery, entries_of, log_summary, measure, planned_of, refuse
     from service.frontend.spool.file import Bounds
-    from service.frontend.tasks.station_file import StationEntry
+    from service.frontend.tasks.task_plan import StationEntry
 
     _start_log(json_log=json_log)
     if station_file is not None:

@@ -20,24 +20,15 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from service.client.backoff import Backoff
+from service.frontend.acquisition import states
 from service.frontend.acquisition.evaluation import MeasuredRow, MeasuringCycle, TaskEvaluation, is_good
-from service.frontend.acquisition.states import (
-    TRANSITIONS,
-    WATCHDOG_PERIODS,
-    AcquisitionCounters,
-    AcquisitionEvent,
-    AcquisitionOrders,
-    AcquisitionSettings,
-    AcquisitionState,
-)
 from service.frontend.drivers.dialects import SweepRefusedError, dialect_of, identify
 from service.frontend.drivers.scpi_driver import RESET_S, ScpiDriver
 from service.frontend.drivers.visa_session import AnalyzerIOError, VisaSession
 from service.frontend.measurement_task import MeasurementTask
 from service.frontend.tasks.task_plan import cycle_s
 from service.records.epoch import US_PER_S
-from service.records.levels.measurement import QualityFlag
-from service.records.levels.sweep import Sweep
+from service.records.levels.measurement import QualityFlag, Sweep
 
 #: difference between two clocks from row to row that counts as a jump: slewing and drift stay far below, s
 JUMP_S = 0.5
@@ -124,15 +115,15 @@ class Acquisition:
     def __init__(
         self,
         task: MeasurementTask,
-        settings: AcquisitionSettings,
+        settings: states.AcquisitionSettings,
         hand_over: Callable[[MeasuredRow], bool],
         now_us: Callable[[], int],
         stop: threading.Event,
         backoff: Backoff | None = None,
         keep_trace: Callable[[Sweep], None] = lambda _: None,
     ) -> None:
-        self.counters = AcquisitionCounters()
-        self.orders = AcquisitionOrders(stop)
+        self.counters = states.AcquisitionCounters()
+        self.orders = states.AcquisitionOrders(stop)
         #: what ``*IDN?`` answered and the dialect spoken, for reports
         self.identity = ""
         self._task = task
@@ -145,7 +136,7 @@ class Acquisition:
         self._evaluation = TaskEvaluation(task)
         self._epochs = EpochGuard(has_monotonic=not settings.use_analyzer_clock)
         self._cycle_s = cycle_s(task)
-        self._watchdog_s = WATCHDOG_PERIODS * max(settings.period_s, self._cycle_s) + settings.hold_s
+        self._watchdog_s = states.WATCHDOG_PERIODS * max(settings.period_s, self._cycle_s) + settings.hold_s
         self._session: VisaSession | None = None
         self._driver: ScpiDriver | None = None
         self._cycle: MeasuringCycle | None = None
@@ -154,13 +145,13 @@ class Acquisition:
         self._due_s: float | None = None
         self._last_good_s = 0.0
         self._bound_s = float("inf")
-        self._actions: dict[AcquisitionState, Callable[[], None]] = {
-            AcquisitionState.CONNECT: self._connect,
-            AcquisitionState.IDENTIFY: self._identify,
-            AcquisitionState.CONFIGURE: self._configure,
-            AcquisitionState.MEASURE: self._measure,
-            AcquisitionState.BACKOFF: self._wait,
-            AcquisitionState.DISABLED: self._rest,
+        self._actions: dict[states.AcquisitionState, Callable[[], None]] = {
+            states.AcquisitionState.CONNECT: self._connect,
+            states.AcquisitionState.IDENTIFY: self._identify,
+            states.AcquisitionState.CONFIGURE: self._configure,
+            states.AcquisitionState.MEASURE: self._measure,
+            states.AcquisitionState.BACKOFF: self._wait,
+            states.AcquisitionState.DISABLED: self._rest,
         }
 
     @property
@@ -208,7 +199,7 @@ class Acquisition:
             self._bound_s = float("inf")
             self._close()
 
-    def step(self) -> AcquisitionState:
+    def step(self) -> states.AcquisitionState:
         """Carry out an order or the action of the state, and return the next state."""
         state = self.counters.state
         event = self.orders.next(state)
@@ -216,23 +207,23 @@ class Acquisition:
             self._follow(event)
         else:
             event = self._act(state)
-        self.counters.state = TRANSITIONS[state][event]
+        self.counters.state = states.TRANSITIONS[state][event]
         return self.counters.state
 
-    def _act(self, state: AcquisitionState) -> AcquisitionEvent:
+    def _act(self, state: states.AcquisitionState) -> states.AcquisitionEvent:
         """Carry out the action of a state."""
         self._allow(self._longest_s())
         try:
             self._actions[state]()
         except FAULTS as fault:
             self._note(state, fault)
-            return AcquisitionEvent.FAULT
-        return AcquisitionEvent.OK
+            return states.AcquisitionEvent.FAULT
+        return states.AcquisitionEvent.OK
 
-    def _follow(self, event: AcquisitionEvent) -> None:
+    def _follow(self, event: states.AcquisitionEvent) -> None:
         """Carry out an order: whatever it is, the session is closed and waiting times begin again."""
         logger.info("analyzer %s: an operator ordered %s", self._settings.resource, event.name)
-        if event is AcquisitionEvent.RESET:
+        if event is states.AcquisitionEvent.RESET:
             self.counters.resets += 1
             self._had_fault = True
         self._backoff.reset()
@@ -271,7 +262,7 @@ class Acquisition:
     def _measure(self) -> None:
         """Take one cycle and hand its row over."""
         self._pace()
-        if self._stop.is_set() or self.orders.is_pending(AcquisitionState.MEASURE):
+        if self._stop.is_set() or self.orders.is_pending(states.AcquisitionState.MEASURE):
             return
         self._allow(self._longest_s())
         row = self._measuring().row()
@@ -318,7 +309,7 @@ class Acquisition:
             self._due_s = now_s
         if self._due_s > now_s:
             self._allow(self._due_s - now_s + self._longest_s())
-            self.orders.wait(self._due_s - now_s, AcquisitionState.MEASURE)
+            self.orders.wait(self._due_s - now_s, states.AcquisitionState.MEASURE)
         self._due_s += period_s
 
     def _wait(self) -> None:
@@ -327,12 +318,12 @@ class Acquisition:
         wait_s = self._backoff.next_s()
         logger.info("analyzer %s: next attempt in %.1f s", self._settings.resource, wait_s)
         self._allow(wait_s + self._longest_s())
-        self.orders.wait(wait_s, AcquisitionState.BACKOFF)
+        self.orders.wait(wait_s, states.AcquisitionState.BACKOFF)
 
     def _rest(self) -> None:
         """Rest while the link is disabled."""
         self._allow(float("inf"))
-        self.orders.wait(1.0, AcquisitionState.DISABLED)
+        self.orders.wait(1.0, states.AcquisitionState.DISABLED)
 
     def _measuring(self) -> MeasuringCycle:
         """Return the cycle of the open session."""
@@ -349,7 +340,7 @@ class Acquisition:
         """Set the time that the present action may take from now on."""
         self._bound_s = time.monotonic() + bound_s
 
-    def _note(self, state: AcquisitionState, fault: Exception) -> None:
+    def _note(self, state: states.AcquisitionState, fault: Exception) -> None:
         """Count and log a fault."""
         self._had_fault = True
         self.counters.faults += 1

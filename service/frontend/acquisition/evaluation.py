@@ -24,8 +24,7 @@ from service.frontend.drivers.dialects import SweepRefusedError
 from service.frontend.drivers.scpi_driver import ScpiDriver
 from service.frontend.measurement_task import CarrierPart, InputPart, MeasurementTask, SweepPart
 from service.frontend.tasks.task_plan import recheck
-from service.records.levels.measurement import QualityFlag
-from service.records.levels.sweep import Sweep, SweepSettings
+from service.records.levels.measurement import QualityFlag, Sweep, SweepSettings
 
 #: what leaks from neighbours above this part of the carrier's power is flagged: 0.1 dB
 LEAK_LIMIT = 10.0**0.01 - 1.0

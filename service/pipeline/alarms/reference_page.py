@@ -6,8 +6,7 @@
 import sys
 
 from service.pipeline.alarms.alarm_engine import MOST_SIGMAS, RELEASE_S, TAIL_S
-from service.pipeline.alarms.conditions import condition_table
-from service.pipeline.alarms.limit_sets import DEFAULT_SETS, NORMAL
+from service.pipeline.alarms.conditions import DEFAULT_SETS, NORMAL, condition_table
 from service.pipeline.alarms.states import AlarmCondition, diagram, tables
 from service.pipeline.config import AlarmConfig, RobustConfig
 from service.records.operations.alarms import ChangeKind, Severity

@@ -24,9 +24,9 @@ import numpy as np
 from service.records.catalogue import Method
 from service.records.levels.attitude import BoolArray, FloatArray, IntArray
 from service.records.levels.measurement import Float32Array
-from service.study.estimation.bound_table import BOUNDS
 from service.study.estimation.bounds import (
     AXES,
+    BOUNDS,
     Accuracy,
     Bound,
     Judged,

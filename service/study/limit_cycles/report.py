@@ -12,9 +12,15 @@ import numpy as np
 from service.core.flexible.schedule import FREQUENCY_COUNT, FREQUENCY_REACH, TorquePulse, schedule_response
 from service.core.flexible.spacecraft import HubMode
 from service.study.limit_cycles import reference
-from service.study.limit_cycles.capture_tables import band_table, capture_table, perpetual_table
-from service.study.limit_cycles.cycle_tables import both_lines_table, limit_cycle_table, succession_table
 from service.study.limit_cycles.reference import Compared, ComparedTable
+from service.study.limit_cycles.tables import (
+    band_table,
+    both_lines_table,
+    capture_table,
+    limit_cycle_table,
+    perpetual_table,
+    succession_table,
+)
 
 
 def schedules() -> dict[str, tuple[TorquePulse, ...]]:

@@ -23,8 +23,8 @@ from service.cli.demonstration.demo import RunningDemonstration, published, runn
 from service.cli.demonstration.demo_screen import Presenter, operation_screen
 from service.cli.demonstration.persons import Person, commands_to_try, offer_archive, program, two_persons, write_key
 from service.records.epoch import parse_epoch
-from service.study.demonstration.closed_judgement import FlightAlone
 from service.study.demonstration.demonstration import Scene, Story
+from service.study.demonstration.judgement import FlightAlone
 
 
 @pytest.fixture

@@ -24,8 +24,7 @@ from service.frontend.drivers.dialects import Features, SweepRefusedError
 from service.frontend.drivers.scpi import AnalyzerMessage, Identity
 from service.frontend.drivers.visa_session import AnalyzerIOError
 from service.frontend.measurement_task import MeasurementTask, parse_task
-from service.records.levels.measurement import QualityFlag
-from service.records.levels.sweep import Sweep, SweepSettings
+from service.records.levels.measurement import QualityFlag, Sweep, SweepSettings
 
 
 def task(**analyzer: Any) -> MeasurementTask:

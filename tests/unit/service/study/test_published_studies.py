@@ -9,8 +9,6 @@ import pytest
 
 from service.records.levels.measurement import ReferenceSeries
 from service.study.limit_cycles import figures
-from service.study.limit_cycles.capture_tables import band_table, capture_table
-from service.study.limit_cycles.cycle_tables import limit_cycle_table
 from service.study.limit_cycles.reference import Compared, ComparedTable, holds
 from service.study.limit_cycles.report import (
     Reproduction,
@@ -21,8 +19,8 @@ from service.study.limit_cycles.report import (
     schedule_table,
     summary_lines,
 )
-from service.study.rf_attitude.figures import draw_reproduction
-from service.study.rf_attitude.reproduction import (
+from service.study.limit_cycles.tables import band_table, capture_table, limit_cycle_table
+from service.study.rf_attitude import (
     AMPLITUDE_DB,
     OFFSET_DBW,
     PERIOD_H,
@@ -30,6 +28,7 @@ from service.study.rf_attitude.reproduction import (
     RMS_DB,
     Session,
     best_period_h,
+    draw_reproduction,
     published_curve,
 )
 

@@ -7,8 +7,15 @@ import numpy as np
 import pytest
 
 from service.pipeline.alarms.alarm_engine import AlarmEngine, Readings
-from service.pipeline.alarms.conditions import condition_table
-from service.pipeline.alarms.limit_sets import DEFAULT_SETS, SETS, AlarmContext, context, faults_of, limits_in_force
+from service.pipeline.alarms.conditions import (
+    DEFAULT_SETS,
+    SETS,
+    AlarmContext,
+    condition_table,
+    context,
+    faults_of,
+    limits_in_force,
+)
 from service.pipeline.alarms.states import (
     COVERS,
     PROCESS,

@@ -9,8 +9,7 @@ import pytest
 
 from service.study import executors
 from service.study.estimation import campaign as campaign_module
-from service.study.estimation.bound_table import BOUNDS
-from service.study.estimation.bounds import AXES, Bound, Mark, at_least, at_most
+from service.study.estimation.bounds import AXES, BOUNDS, Bound, Mark, at_least, at_most
 from service.study.estimation.campaign import (
     CampaignPlan,
     Course,
