@@ -37,8 +37,14 @@ import numpy as np
 from analyzer_sim.epochs import US_PER_S, epoch_us_from_text, rfc3339
 from analyzer_sim.export import measured_dbm, sweep_noise_db
 from analyzer_sim.streams import FloatArray, stream
-from analyzer_sim.world.ground.ground import catalogue_lines, chunks_of, flown_lines, reported_lines, truth_row
-from analyzer_sim.world.ground.ground_bodies import TORQUE_LIMIT_N_M
+from analyzer_sim.world.ground.ground import (
+    TORQUE_LIMIT_N_M,
+    catalogue_lines,
+    chunks_of,
+    flown_lines,
+    reported_lines,
+    truth_row,
+)
 from analyzer_sim.world.orbit import EARTH_RATE_RAD_S
 from analyzer_sim.world.scenario.story import Scenario
 from analyzer_sim.world.spacecraft import body

@@ -60,7 +60,7 @@ _COMMANDS = {
     "report": CommandSource(
         "shift.handover", "Write a report of the last day or shift with figures, then the hand-over."
     ),
-    "export": CommandSource("operation.export", "Download a stretch of the archive."),
+    "export": CommandSource("operation.operate", "Download a stretch of the archive."),
     "plan": CommandSource(
         "planning.plan", "Choose carriers, judge what they can see, and print a timetable of calibration turns."
     ),

@@ -7,9 +7,19 @@ from typing import Any, Self, TypeVar
 
 import httpx
 
-from service.client.call import BASE_PATH, Attempts, Call, broke_off, decoded, default_headers, no_answer, page_of
+from service.client.call import (
+    BASE_PATH,
+    Attempts,
+    Call,
+    Follower,
+    StreamEvent,
+    broke_off,
+    decoded,
+    default_headers,
+    no_answer,
+    page_of,
+)
 from service.client.documents import Json
-from service.client.event_lines import Follower, StreamEvent
 from service.client.problem import ServiceUnavailableError, error_of
 
 Result = TypeVar("Result")

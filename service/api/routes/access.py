@@ -16,8 +16,7 @@ from starlette.concurrency import run_in_threadpool
 from service.api.access import auth
 from service.api.access.housekeeping import StoredKeys
 from service.api.context import Context
-from service.api.monitoring.metrics import MEDIA_TYPE, Metrics
-from service.api.monitoring.readiness import SharedReadiness, require_ready
+from service.api.monitoring.metrics import MEDIA_TYPE, Metrics, SharedReadiness, require_ready
 from service.api.problems.problems import RequestProblemError, invalid_request
 from service.api.protocol.openapi import render_page
 from service.api.protocol.paging import Page

@@ -25,8 +25,7 @@ from service.api.context import (
 from service.api.monitoring.access_log import RequestMetrics
 from service.api.problems.next_steps import NEXT_STEPS
 from service.api.problems.problems import RequestProblemError, invalid_request
-from service.api.protocol.epochs import EpochTextError, ParsedEpochs, parse_epochs
-from service.api.protocol.paging import Page, by_epoch, path_epoch
+from service.api.protocol.paging import EpochTextError, Page, ParsedEpochs, by_epoch, parse_epochs, path_epoch
 from service.api.protocol.requests import accepts, body_of, read_body
 from service.api.schemas import measurements as documents
 from service.api.schemas.base import NAME_PATTERN

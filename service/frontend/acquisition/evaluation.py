@@ -246,7 +246,7 @@ def _sweep_flags(sweep: Sweep) -> int:
     return int(flags)
 
 
-logger = logging.getLogger("service.frontend.acquisition.acquisition")
+logger = logging.getLogger("service.frontend.station")
 
 #: what says of a level that it was not looked for, or not in a fresh trace of numbers
 _NOT_GOOD = QualityFlag.NOT_MEASURED | QualityFlag.STALE_TRACE | QualityFlag.NONFINITE_VALUE

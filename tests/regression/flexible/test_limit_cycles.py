@@ -40,8 +40,7 @@ from service.core.flexible.schedule import (
 from service.core.flexible.spacecraft import HubMode
 from service.study.limit_cycles import reference
 from service.study.limit_cycles.reference import CaptureCase
-from service.study.limit_cycles.report import schedules
-from service.study.limit_cycles.tables import (
+from service.study.limit_cycles.report import (
     agrees_with_published,
     basin_count,
     cycle_of,
@@ -51,6 +50,7 @@ from service.study.limit_cycles.tables import (
     mode_of,
     motion_of,
     perpetual_lock,
+    schedules,
     switch_of,
     wandering_range,
 )

@@ -18,6 +18,7 @@ import httpx
 import numpy as np
 import pytest
 from analyzer_thread import AnalyzerThread, start_in_thread
+from service.frontend.acquisition.acquisition import Acquisition
 from steady_world import CARRIERS, NOISE_DBM_HZ, Steady, steady_task
 from unjoined_line import MODES, unjoined_line
 from waiting import wait_until
@@ -29,7 +30,6 @@ from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.instrument.painter import Detail, TracePainter
 from analyzer_sim.lines.line_faults import LineFault
 from service.client.backoff import Backoff
-from service.frontend.acquisition.acquisition import Acquisition
 from service.frontend.acquisition.evaluation import MeasuredRow, MeasuringCycle, TaskEvaluation
 from service.frontend.acquisition.states import AcquisitionSettings
 from service.frontend.drivers.dialects import GENERIC, RS, dialect_of, identify

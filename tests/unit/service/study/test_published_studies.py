@@ -13,13 +13,15 @@ from service.study.limit_cycles.reference import Compared, ComparedTable, holds
 from service.study.limit_cycles.report import (
     Reproduction,
     as_document,
+    band_table,
+    capture_table,
     cells,
+    limit_cycle_table,
     markdown,
     reproduce,
     schedule_table,
     summary_lines,
 )
-from service.study.limit_cycles.tables import band_table, capture_table, limit_cycle_table
 from service.study.rf_attitude import (
     AMPLITUDE_DB,
     OFFSET_DBW,
