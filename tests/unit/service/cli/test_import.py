@@ -495,7 +495,7 @@ def test_names_that_a_terminal_cannot_show_do_not_end_a_proposal(tmp_path: Path,
 
 
 @pytest.mark.parametrize(
-    ("words", "completed"), [("soo pu", "put"), ("soo put pow", "powers"), ("soo put --time-f", "--time-format")]
+    ("words", "completed"), [("soo pu", "put"), ("soo put pow", "powers"), ("soo put --refuse", "--refuse-unknown")]
 )
 def test_a_shell_completes_commands_kinds_and_options(words: str, completed: str) -> None:
     done = soo(_SOO_COMPLETE="complete_bash", COMP_WORDS=words, COMP_CWORD=str(words.count(" ")))
