@@ -7,10 +7,8 @@ not be run.
 import json
 import shlex
 import signal
-import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
@@ -145,16 +143,23 @@ def draw(folder: Path | None, module: str, drawn: Callable[[Any, Path], Iterable
 _FILE_WIDTH = 160
 
 
-def report(rows: "Sequence[Row]", title: str, *, as_json: bool, as_markdown: bool) -> None:
-    """Print the rows of a study."""
+def report(tables: "Mapping[str, Sequence[Row]]", *, as_json: bool, as_markdown: bool) -> None:
+    """Print published figures beside reproduced ones; end with 1 where one does not reproduce that should."""
     from service.study.published import COLUMNS, markdown
 
+    rows = [(title, row) for title, table in tables.items() for row in table]
+    missed = [(title, row) for title, row in rows if row.is_surprising]
     if as_json:
-        typer.echo(json.dumps({"rows": [{**asdict(row), "ratio": row.ratio} for row in rows]}, allow_nan=False))
+        document = {"rows": [{"table": title, **row.document()} for title, row in rows], "missed": len(missed)}
+        typer.echo(json.dumps(document, allow_nan=False))
     elif as_markdown:
-        typer.echo(markdown(rows), nl=False)
+        typer.echo(markdown(tables), nl=False)
     else:
-        print_tables(console_of(_FILE_WIDTH), [(title, COLUMNS, [row.cells for row in rows])])
+        shown = [(title, COLUMNS, [row.cells for row in table]) for title, table in tables.items()]
+        lines = [f"missed: {title}: {', '.join(row.cells)}" for title, row in missed]
+        print_tables(console_of(_FILE_WIDTH), shown, [f"{len(rows)} figures, {len(missed)} missed", *lines])
+    if missed:
+        raise typer.Exit(EXIT_MISSED)
 
 
 def estimation(
@@ -328,20 +333,12 @@ def limit_cycles(
 ) -> None:
     """Reproduce limit cycles, capture and torque schedules of a flexible spacecraft."""
     # numba and the study cost half a second that no other command needs
-    from service.study.limit_cycles.report import COLUMNS, as_document, cells, markdown, reproduce, summary_lines
+    from service.study.limit_cycles.report import reproduce
 
-    done = reproduce()
+    tables = reproduce()
     suffix = "svg" if svg else "png"
     draw(figures, "limit_cycles.figures", lambda study, folder: study.draw_figures(folder, suffix=suffix))
-    if as_json:
-        typer.echo(json.dumps(as_document(done), allow_nan=False))
-    elif as_markdown:
-        typer.echo(markdown(done), nl=False)
-    else:
-        tables = [(f"{one.name} {one.title}", COLUMNS, [cells(row) for row in one.rows]) for one in done.tables]
-        print_tables(console_of(_FILE_WIDTH), tables, summary_lines(done))
-    if done.missed:
-        raise typer.Exit(EXIT_MISSED)
+    report(tables, as_json=as_json, as_markdown=as_markdown)
 
 
 def orbital_frame(
@@ -355,15 +352,10 @@ def orbital_frame(
     from service.study.orbital_frame import reproduce
 
     kernel = fly if plain else compiled_fly()
-    began_s = time.monotonic()
     with named_steps() as show:
         rows = reproduce(kernel, show)
-    taken_s = time.monotonic() - began_s
     draw(figures, "orbital_frame", lambda study, folder: study.draw_reproduction(kernel, folder))
-    report(rows, "Orbital-frame control of Meteor-M No. 2", as_json=as_json, as_markdown=as_markdown)
-    typer.echo(f"{len(rows)} figures in {taken_s:.1f} s", err=True)
-    if any(one.is_surprising for one in rows):
-        raise typer.Exit(EXIT_MISSED)
+    report({"Orbital-frame control of Meteor-M No. 2": rows}, as_json=as_json, as_markdown=as_markdown)
 
 
 def rf_attitude(
@@ -380,9 +372,7 @@ def rf_attitude(
     with failures_shown(ExportFailedError, UndrivenError, OSError), named_steps() as show:
         rows, sessions = reproduce(seeds, show)
     draw(figures, "rf_attitude", lambda study, at: study.draw_reproduction(sessions[0], at))
-    report(rows, "Attitude from retransmitted carriers, Yamal-200", as_json=as_json, as_markdown=as_markdown)
-    if any(one.is_surprising for one in rows):
-        raise typer.Exit(EXIT_MISSED)
+    report({"Attitude from retransmitted carriers, Yamal-200": rows}, as_json=as_json, as_markdown=as_markdown)
 
 
 study_app = new_app(help="Campaigns on simulated truth and reproductions of papers.", no_args_is_help=True)

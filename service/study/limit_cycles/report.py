@@ -1,12 +1,8 @@
-"""All tables of the study, for people and for programs.
-
-T6: torque schedules.
-"""
+"""Tables of the study: figures of the reference beside those of the product."""
 
 import math
-import time
 from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,12 +31,26 @@ from service.core.flexible.return_kernels import Follow, OneSided, compiled_foll
 from service.core.flexible.schedule import FREQUENCY_COUNT, FREQUENCY_REACH, TorquePulse, schedule_response
 from service.core.flexible.spacecraft import HubMode, SwitchingLaw, WheelDrive
 from service.study.limit_cycles import reference
-from service.study.limit_cycles.reference import CaptureCase, Compared, ComparedTable, PerpetualCase, holds
+from service.study.limit_cycles.reference import CaptureCase, PerpetualCase
+from service.study.published import Row, row, statement_row
 
 #: relative tolerance of speeds and angles, of periods; absolute one of multipliers
 _RELATIVE, _PERIOD, _MULTIPLIER = 1e-6, 1e-8, 1e-4
 #: as many returns of a leg-by-leg run must agree with the map
 _FOLLOWED_S = 2000.0
+
+
+def _compared(
+    case: str, figure: str, reference: float, found: float, tolerance: float, *, is_relative: bool = True
+) -> Row:
+    """Return a figure with all its digits; the tolerance is a share of the reference, or a distance."""
+    within = tolerance * abs(reference) if is_relative else tolerance
+    return row(figure, case, reference, found, "", within=within, digits=10)
+
+
+def _holds(case: str, claim: str, *, is_true: bool) -> Row:
+    """Return a claim as a row: 1 where it holds."""
+    return statement_row(claim, case, "holds", float(is_true), "", is_met=is_true)
 
 
 @cache
@@ -57,30 +67,30 @@ def motion_of(name: str) -> OneSided:
     return one_sided_motion(case.drive, case.law)
 
 
-def limit_cycle_table() -> ComparedTable:
+def limit_cycle_table() -> list[Row]:
     """Return T1."""
-    rows: list[Compared] = []
+    rows: list[Row] = []
     for name, case in reference.CYCLES.items():
         cycle = cycle_of(name)
         rows += [
-            Compared(name, "w*, rad/s", case.speed_rad_s, cycle.speed_rad_s, _RELATIVE),
-            Compared(name, "vmax, rad/s", case.rate_rad_s, cycle.rate_rad_s, _RELATIVE),
+            _compared(name, "w*, rad/s", case.speed_rad_s, cycle.speed_rad_s, _RELATIVE),
+            _compared(name, "vmax, rad/s", case.rate_rad_s, cycle.rate_rad_s, _RELATIVE),
             # the reference prints ten digits
-            Compared(name, "T, s", case.period_s, cycle.period_s, _PERIOD),
-            Compared(name, "inner, rad", case.inner_rad, cycle.inner_rad, _RELATIVE),
-            Compared(name, "outer, rad", case.outer_rad, cycle.outer_rad, _RELATIVE),
-            Compared(name, "multiplier", case.multiplier, cycle.multiplier, _MULTIPLIER, is_relative=False),
+            _compared(name, "T, s", case.period_s, cycle.period_s, _PERIOD),
+            _compared(name, "inner, rad", case.inner_rad, cycle.inner_rad, _RELATIVE),
+            _compared(name, "outer, rad", case.outer_rad, cycle.outer_rad, _RELATIVE),
+            _compared(name, "multiplier", case.multiplier, cycle.multiplier, _MULTIPLIER, is_relative=False),
         ]
-    return ComparedTable("T1", "Limit cycles", (*rows, *_closed_forms()))
+    return rows + _closed_forms()
 
 
-def _closed_forms() -> list[Compared]:
+def _closed_forms() -> list[Row]:
     """Return what formulas say of cycle A0 and of the loss that makes it stable."""
     forms = single_pulse_forms(reference.BASE, 1.0)
     found = (forms.multiplier, forms.multiplier_frictionless, forms.multiplier_truncated)
     names = ("multiplier by formula", "multiplier by formula, c = 0", "multiplier of truncated (23)")
     rows = [
-        Compared("A0", name, printed, value, 1e-6, is_relative=False)
+        _compared("A0", name, printed, value, 1e-6, is_relative=False)
         for name, printed, value in zip(names, reference.CLOSED_MULTIPLIERS, found, strict=True)
     ]
     for dry, (exact, formula) in reference.CRITICAL_LOSSES.items():
@@ -90,8 +100,8 @@ def _closed_forms() -> list[Compared]:
         law = reference.law_of()
         case = f"M_T = {dry:g}"
         rows += [
-            Compared(case, "M_v,crit, N m", exact, critical_viscous_loss_n_m(drive, law), _RELATIVE),
-            Compared(
+            _compared(case, "M_v,crit, N m", exact, critical_viscous_loss_n_m(drive, law), _RELATIVE),
+            _compared(
                 case,
                 "M_v,crit by formula, N m",
                 formula,
@@ -102,48 +112,46 @@ def _closed_forms() -> list[Compared]:
     return rows
 
 
-def both_lines_table() -> ComparedTable:
+def both_lines_table() -> list[Row]:
     """Return cycles over both lines beside the balance of momentum: N - N' pulses make good what friction takes."""
-    rows = []
+    rows: list[Row] = []
     for friction_n_m, pulse_s in ((1e-3, 4.0), (3e-4, 2.0), (1e-4, 1.0)):
         drive = reference.BASE._replace(dry_friction_n_m=friction_n_m)
         (cycle,) = find_cycles_over_both_lines(drive, reference.law_of(pulse_s=pulse_s))
         ahead = cycle.motion.pulses[0] - cycle.motion.pulses[1]
         case, balance_s = f"M_T {friction_n_m:g}, tau {pulse_s:g}", cycle_period_s(drive, pulse_s, ahead)
-        rows.append(Compared(case, "T, s", balance_s, cycle.motion.period_s, 1e-8))
-        rows.append(holds(case, "two pulses on one side, one on the other", is_true=cycle.motion.pulses == (2, 1)))
+        rows.append(_compared(case, "T, s", balance_s, cycle.motion.period_s, 1e-8))
+        rows.append(_holds(case, "two pulses on one side, one on the other", is_true=cycle.motion.pulses == (2, 1)))
     resting = reference.BASE._replace(dry_friction_n_m=1e-4, momentum_n_m_s=0.0)
     law = reference.law_of(3, 1.5e-3, 4.0)
     found = {cycle.motion.pulses for cycle in find_cycles_over_both_lines(resting, law)}
-    rows.append(holds("rotor at rest, M_T 1e-4, tau 4", "three pulses a side, adjoining", is_true=(3, 3) in found))
+    rows.append(_holds("rotor at rest, M_T 1e-4, tau 4", "three pulses a side, adjoining", is_true=(3, 3) in found))
     none = find_cycles_over_both_lines(reference.BASE, reference.law_of())
-    rows.append(holds("A0", "no cycle over both lines", is_true=not none))
-    return ComparedTable("T7", "Cycles over both lines", tuple(rows))
+    rows.append(_holds("A0", "no cycle over both lines", is_true=not none))
+    return rows
 
 
-def succession_table() -> ComparedTable:
+def succession_table() -> list[Row]:
     """Return T2."""
     rows = [
-        Compared(name, f"f({speed:g}), rad/s", printed, float(succession(np.array([speed]), motion_of(name))[0]), 1e-6)
+        _compared(name, f"f({speed:g}), rad/s", printed, float(succession(np.array([speed]), motion_of(name))[0]), 1e-6)
         for name, speed, printed in reference.SUCCESSIONS
     ]
     truncated = truncated_succession(np.array([speed for speed, _ in reference.TRUNCATED_SUCCESSIONS]), motion_of("A0"))
     rows += [
-        Compared("A0, truncated (23)", f"f({speed:g}), rad/s", printed, float(value), 1e-6)
+        _compared("A0, truncated (23)", f"f({speed:g}), rad/s", printed, float(value), 1e-6)
         for (speed, printed), value in zip(reference.TRUNCATED_SUCCESSIONS, truncated, strict=True)
     ]
     follower = compiled_follow()
-    return ComparedTable(
-        "T2", "Succession function", (*rows, *_followed(), *_approaches(follower), *_basins(follower), _wandering())
-    )
+    return [*rows, *_followed(), *_approaches(follower), *_basins(follower), _wandering()]
 
 
-def _followed() -> list[Compared]:
+def _followed() -> list[Row]:
     """Return arrivals of C2 by the motion itself, leg by leg."""
     speed, printed = reference.FOLLOWED_ARRIVALS
     found = followed_arrivals("C2", speed)
     return [
-        Compared("C2, leg by leg", f"w_{k + 1}, rad/s", one, float(value), 1e-9)
+        _compared("C2, leg by leg", f"w_{k + 1}, rad/s", one, float(value), 1e-9)
         for k, (one, value) in enumerate(zip(printed, found[1:], strict=False))
     ]
 
@@ -159,10 +167,10 @@ def followed_arrivals(name: str, speed_rad_s: float) -> "np.typing.NDArray[np.fl
     return np.asarray(-states[is_first_line, 1])
 
 
-def _approaches(follower: Follow) -> list[Compared]:
+def _approaches(follower: Follow) -> list[Row]:
     """Return where returns lead."""
     return [
-        Compared(
+        _compared(
             name,
             f"w after {returns} returns from {start:g}, rad/s",
             printed,
@@ -180,10 +188,10 @@ def basin_count(name: str, follower: Follow = follow) -> int:
     return int(np.count_nonzero(np.abs(last / reference.CYCLES[name].speed_rad_s - 1.0) < 0.01))
 
 
-def _basins(follower: Follow) -> list[Compared]:
+def _basins(follower: Follow) -> list[Row]:
     """Return sizes of basins."""
     return [
-        Compared(name, "starts of 60 that reach the cycle", count, basin_count(name, follower), 0.0)
+        _compared(name, "starts of 60 that reach the cycle", count, basin_count(name, follower), 0.0)
         for name, count in reference.BASINS.items()
     ]
 
@@ -197,12 +205,12 @@ def wandering_range() -> tuple[float, float]:
     return float(speeds.min()), float(speeds.max())
 
 
-def _wandering() -> Compared:
+def _wandering() -> Row:
     """Return whether A0 stays bounded without settling; its extremes are chaotic, so they are no figures."""
     low, high = wandering_range()
     _, _, _, (printed_low, printed_high) = reference.WANDERING
     is_bounded = 0.5 * printed_low < low and high < 1.01 * printed_high
-    return holds("A0", "3000 returns bounded, never settled", is_true=is_bounded and low < 0.1 * high)
+    return _holds("A0", "3000 returns bounded, never settled", is_true=is_bounded and low < 0.1 * high)
 
 
 #: in place of a damping of zero, which the motion refuses; it changes no digit
@@ -239,19 +247,19 @@ def is_captured(case: CaptureCase, amplitude_rad: float) -> bool:
     return len(motion.release_times_s) > 0
 
 
-def capture_table() -> ComparedTable:
+def capture_table() -> list[Row]:
     """Return T3."""
-    rows: list[Compared] = []
+    rows: list[Row] = []
     for case in reference.CAPTURES:
         switch, mode = switch_of(case), mode_of(case)
         name = _name(case)
         least = least_capturing_amplitude_rad(switch, mode)
-        rows.append(Compared(name, "p_cr by (18), rad", case.formula_rad, critical_amplitude_rad(switch, mode), 1e-6))
-        rows.append(Compared(name, "p_min by following, rad", case.least_rad, least, 1e-4))
+        rows.append(_compared(name, "p_cr by (18), rad", case.formula_rad, critical_amplitude_rad(switch, mode), 1e-6))
+        rows.append(_compared(name, "p_min by following, rad", case.least_rad, least, 1e-4))
         if math.isinf(case.pulse_s) and least > 0.0:
-            rows.append(holds(name, "free at 0.99 p_min", is_true=not is_captured(case, 0.99 * least)))
-            rows.append(holds(name, "captured at 1.01 p_min", is_true=is_captured(case, 1.01 * least)))
-    return ComparedTable("T3", "Boundary of capture", tuple(rows))
+            rows.append(_holds(name, "free at 0.99 p_min", is_true=not is_captured(case, 0.99 * least)))
+            rows.append(_holds(name, "captured at 1.01 p_min", is_true=is_captured(case, 1.01 * least)))
+    return rows
 
 
 def _name(case: CaptureCase) -> str:
@@ -266,26 +274,26 @@ def cycle_switch() -> SwitchOn:
     return SwitchOn(reference.PULSE_RAD_S2, reference.PASSIVE_RAD_S2, rate, reference.ALPHA_RAD, reference.ALPHA_RAD)
 
 
-def band_table() -> ComparedTable:
+def band_table() -> list[Row]:
     """Return T4, and the surface (26)."""
-    rows: list[Compared] = []
+    rows: list[Row] = []
     for coupling, bands in reference.BANDS.items():
         for swing, band in bands.items():
             found = stable_band(cycle_switch(), coupling, swing)
             case = f"kn {coupling:g}, C {swing:g}"
             if band is None:
-                rows.append(holds(case, "no band", is_true=math.isnan(found.low_rad_s)))
+                rows.append(_holds(case, "no band", is_true=math.isnan(found.low_rad_s)))
                 continue
             # seven digits are printed
-            rows.append(Compared(case, "w-, rad/s", band[0], found.low_rad_s, 1e-6))
-            rows.append(Compared(case, "w+, rad/s", band[1], found.high_rad_s, 1e-6))
+            rows.append(_compared(case, "w-, rad/s", band[0], found.low_rad_s, 1e-6))
+            rows.append(_compared(case, "w+, rad/s", band[1], found.high_rad_s, 1e-6))
     for swing, omega, printed in reference.SURFACE:
         mode = HubMode(omega, 0.01, 0.5)
         found_rad_s = rigid_frequency_rad_s(cycle_switch(), mode, swing)
-        rows.append(Compared(f"C {swing:g}, w {omega:g}", "w_T by (26), rad/s", printed, found_rad_s, 1e-6))
+        rows.append(_compared(f"C {swing:g}, w {omega:g}", "w_T by (26), rad/s", printed, found_rad_s, 1e-6))
     own = 2.0 * math.pi / cycle_period_s(reference.BASE, 1.0, 1)
-    rows.append(Compared("A0", "own w_T, rad/s", reference.RIGID_FREQUENCY_RAD_S, own, 1e-6))
-    return ComparedTable("T4", "Band without capture, and surface (26)", tuple(rows))
+    rows.append(_compared("A0", "own w_T, rad/s", reference.RIGID_FREQUENCY_RAD_S, own, 1e-6))
+    return rows
 
 
 class Lock(NamedTuple):
@@ -308,24 +316,24 @@ def perpetual_lock(case: PerpetualCase) -> Lock:
     return Lock(float(counted) / _COUNTED_PERIODS, amplitude)
 
 
-def perpetual_table() -> ComparedTable:
+def perpetual_table() -> list[Row]:
     """Return T5."""
-    rows: list[Compared] = []
+    rows: list[Row] = []
     for case in reference.PERPETUAL:
         switch = SwitchOn(2e-4, 0.0, 1e-4, reference.ALPHA_RAD, reference.BETA_RAD)
         limit = perpetual_amplitude_rad(switch, HubMode(case.omega_rad_s, case.damping_ratio, case.coupling))
         lock = perpetual_lock(case)
         name = f"w {case.omega_rad_s:g}, kn {case.coupling:g}, xi {case.damping_ratio:g}, p0 {case.amplitude_rad:g}"
-        rows.append(Compared(name, "p_inf / beta", case.lock_ratio, limit / reference.BETA_RAD, 6e-3))
-        rows.append(Compared(name, "firings a period", case.firings_per_period, lock.firings_per_period, 0.02))
+        rows.append(_compared(name, "p_inf / beta", case.lock_ratio, limit / reference.BETA_RAD, 6e-3))
+        rows.append(_compared(name, "firings a period", case.firings_per_period, lock.firings_per_period, 0.02))
         if case.is_captured:
-            rows.append(Compared(name, "amplitude, rad", case.final_amplitude_rad, lock.amplitude_rad, 1e-2))
+            rows.append(_compared(name, "amplitude, rad", case.final_amplitude_rad, lock.amplitude_rad, 1e-2))
         rows.append(
-            holds(
+            _holds(
                 name, "locked" if case.is_captured else "not locked", is_true=agrees_with_published(case, lock, limit)
             )
         )
-    return ComparedTable("T5", "Perpetual capture", tuple(rows))
+    return rows
 
 
 def agrees_with_published(case: PerpetualCase, lock: Lock, limit_rad: float) -> bool:
@@ -349,12 +357,12 @@ def schedules() -> dict[str, tuple[TorquePulse, ...]]:
     return made
 
 
-def schedule_table() -> ComparedTable:
+def schedule_table() -> list[Row]:
     """Return T6."""
     inertia, mode_numbers, _, _ = reference.SCHEDULE_AXIS
     mode = HubMode(*mode_numbers)
     tried = mode.omega_rad_s * np.linspace(1.0 - FREQUENCY_REACH, 1.0 + FREQUENCY_REACH, FREQUENCY_COUNT)
-    rows = []
+    rows: list[Row] = []
     for name, pulses in schedules().items():
         nominal = schedule_response(pulses, mode, inertia)
         scanned = schedule_response(pulses, mode, inertia, omega_rad_s=tried)
@@ -366,108 +374,23 @@ def schedule_table() -> ComparedTable:
         }
         # the residual of two halves is printed with five digits
         rows += [
-            Compared(name, f"{figure}, rad", printed, float(found[figure]), 1e-6 if "halves" not in name else 4e-5)
+            _compared(name, f"{figure}, rad", printed, float(found[figure]), 1e-6 if "halves" not in name else 4e-5)
             for figure, printed in reference.SCHEDULES[name].items()
         ]
-    return ComparedTable("T6", "Torque schedules", tuple(rows))
+    return rows
 
 
-COLUMNS = ("case", "figure", "reference", "reproduced", "ratio", "kept")
-_TABLES = (
-    limit_cycle_table,
-    succession_table,
-    capture_table,
-    band_table,
-    perpetual_table,
-    schedule_table,
-    both_lines_table,
-)
+_TABLES = {
+    "T1 Limit cycles": limit_cycle_table,
+    "T2 Succession function": succession_table,
+    "T3 Boundary of capture": capture_table,
+    "T4 Band without capture, and surface (26)": band_table,
+    "T5 Perpetual capture": perpetual_table,
+    "T6 Torque schedules": schedule_table,
+    "T7 Cycles over both lines": both_lines_table,
+}
 
 
-class Reproduction(NamedTuple):
-    """Every table, and how long they took."""
-
-    tables: tuple[ComparedTable, ...]
-    seconds: float
-
-    @property
-    def missed(self) -> tuple[tuple[str, Compared], ...]:
-        """Return the figures outside their tolerance with the names of their tables."""
-        return tuple((table.name, row) for table in self.tables for row in table.rows if not row.is_kept)
-
-
-def reproduce() -> Reproduction:
-    """Return all tables of the study."""
-    began = time.monotonic()
-    made = tuple(table() for table in _TABLES)
-    return Reproduction(made, time.monotonic() - began)
-
-
-def cells(row: Compared) -> tuple[str, ...]:
-    """Return one figure as the cells of a line."""
-    ratio = f"{row.ratio:.9f}" if math.isfinite(row.ratio) else "-"
-    return (
-        row.case,
-        row.figure,
-        f"{row.reference:.10g}",
-        f"{row.found:.10g}",
-        ratio,
-        "yes" if row.is_kept else "no",
-    )
-
-
-def summary_lines(done: Reproduction) -> list[str]:
-    """Return counts, what was missed, and the time, in words."""
-    count = sum(len(table.rows) for table in done.tables)
-    lines = [f"{count} figures, {count - len(done.missed)} within their tolerance, {done.seconds:.1f} s"]
-    lines += [
-        f"missed: {name}, {row.case}, {row.figure}: {row.found:.10g}, reference {row.reference:.10g}"
-        for name, row in done.missed
-    ]
-    return lines
-
-
-def markdown(done: Reproduction) -> str:
-    """Return the tables as sections of a page."""
-    lines = []
-    for table in done.tables:
-        lines += [f"### {table.name} {table.title}", "", _line(COLUMNS), _line(("---",) * len(COLUMNS))]
-        lines += [*(_line(cells(row)) for row in table.rows), ""]
-    lines += [f"* {line}" for line in summary_lines(done)]
-    return "\n".join([*lines, ""])
-
-
-def as_document(done: Reproduction) -> dict[str, Any]:
-    """Return everything a program may want, fit for JSON; infinite and missing numbers are null."""
-    return {
-        "seconds": round(done.seconds, 2),
-        "missed": len(done.missed),
-        "tables": {
-            table.name: {"title": table.title, "rows": [_row_document(row) for row in table.rows]}
-            for table in done.tables
-        },
-    }
-
-
-def _row_document(row: Compared) -> dict[str, Any]:
-    """Return one figure."""
-    return {
-        "case": row.case,
-        "figure": row.figure,
-        "reference": _finite(row.reference),
-        "found": _finite(row.found),
-        "ratio": _finite(row.ratio),
-        "tolerance": row.tolerance,
-        "tolerance_is_relative": row.is_relative,
-        "kept": row.is_kept,
-    }
-
-
-def _finite(value: float) -> float | None:
-    """Return a number that JSON can hold."""
-    return value if math.isfinite(value) else None
-
-
-def _line(line_cells: tuple[str, ...]) -> str:
-    """Return one line of a table in Markdown."""
-    return f"| {' | '.join(line_cells)} |"
+def reproduce() -> dict[str, list[Row]]:
+    """Return all tables of the study by title."""
+    return {title: table() for title, table in _TABLES.items()}
