@@ -24,11 +24,11 @@ from service.pipeline.control.release.control_verdict import OTHER_REASONS
 from service.pipeline.control.release.interlock_conditions import MEASURES, Condition, Consequence, ReleaseSettings
 from service.records.operations.alarms import ChangeKind, Process, Severity
 
-
 _ALARMS = """# Alarms
 
 Written by `python -m docs.reference_pages` from the tables that the code runs by
-(`service/pipeline/alarms/conditions.py`, `states.py`); `tests/docs/test_reference.py` holds page and tables equal. How to live with alarms: [handle alarms](../how-to/handle-alarms.md)."""
+(`service/pipeline/alarms/conditions.py`, `states.py`); `tests/docs/test_reference.py` holds page and tables equal. How
+to live with alarms: [handle alarms](../how-to/handle-alarms.md)."""
 
 _CONDITIONS = """## Conditions
 
@@ -170,11 +170,9 @@ def alarm_diagram() -> str:
     lines = ["stateDiagram-v2", "    [*] --> normal"]
     for state, row in alarms.PROCESS.items():
         lines += _arrows(state.value, {event.name: target.value for event, target in row.items()})
-    for state in Process:
-        ends = [
-            event for event in alarms.AlarmEvent if alarms.next_process(state, event, is_latching=True) is not alarms.PROCESS[state][event]
-        ]
-        names = ", ".join(event.name for event in ends)
+    for state, row in alarms.PROCESS.items():
+        latched = {event: alarms.next_process(state, event, is_latching=True) for event in row}
+        names = ", ".join(event.name for event, target in latched.items() if target is not row[event])
         lines += [f"    {state.value} --> {Process.LATCHED.value}: {names} (where it latches)"] if names else []
     lines.append("    state cover {")
     for cover, covered in alarms.COVERS.items():
@@ -300,10 +298,11 @@ def _table(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
 def acquisition_diagram() -> str:
     """Return the table as a Mermaid state diagram; what stays in its state is left out, but for measuring."""
     lines = ["stateDiagram-v2", "    [*] --> CONNECT"]
+    measuring = (acquisition.AcquisitionState.MEASURE, acquisition.AcquisitionEvent.OK)
     for state, row in acquisition.TRANSITIONS.items():
         targets: dict[acquisition.AcquisitionState, list[str]] = {}
         for event, target in row.items():
-            if target is not state or (state is acquisition.AcquisitionState.MEASURE and event is acquisition.AcquisitionEvent.OK):
+            if target is not state or (state, event) == measuring:
                 targets.setdefault(target, []).append(event.name)
         lines += [f"    {state.name} --> {target.name}: {', '.join(events)}" for target, events in targets.items()]
     return "\n".join(lines)
@@ -332,7 +331,8 @@ def acquisition_page() -> str:
 def main() -> None:
     """Write the pages."""
     folder = Path(__file__).parent / "reference"
-    for name, page in (("alarms", alarms_page), ("interlock", interlock_page), ("acquisition-states", acquisition_page)):
+    pages = {"alarms": alarms_page, "interlock": interlock_page, "acquisition-states": acquisition_page}
+    for name, page in pages.items():
         (folder / f"{name}.md").write_text(page(), encoding="utf-8")
 
 

@@ -18,7 +18,6 @@ import httpx
 import numpy as np
 import pytest
 from analyzer_thread import AnalyzerThread, start_in_thread
-from service.frontend.acquisition.acquisition import Acquisition
 from steady_world import CARRIERS, NOISE_DBM_HZ, Steady, steady_task
 from unjoined_line import MODES, unjoined_line
 from waiting import wait_until
@@ -37,6 +36,7 @@ from service.frontend.drivers.scpi_driver import ScpiDriver
 from service.frontend.drivers.visa_session import AnalyzerIOError, VisaSession
 from service.frontend.measurement_task import InputPart, MeasurementTask, parse_task
 from service.frontend.spool.spool import spool_path
+from service.frontend.station import Acquisition
 from service.frontend.tasks.task_plan import plan_with_zoom
 from service.records.levels.measurement import QualityFlag
 

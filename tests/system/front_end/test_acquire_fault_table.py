@@ -16,7 +16,6 @@ import pytest
 import pyvisa
 from analyzer_thread import AnalyzerThread, start_in_thread
 from fault_table import TABLE, FaultRow
-from service.frontend.acquisition.acquisition import Acquisition
 from steady_world import CARRIERS, Steady, steady_task
 from waiting import wait_until
 
@@ -27,6 +26,7 @@ from analyzer_sim.lines.line_faults import LineFault
 from service.client.backoff import Backoff
 from service.frontend.acquisition.evaluation import MeasuredRow
 from service.frontend.acquisition.states import AcquisitionSettings
+from service.frontend.station import Acquisition
 from service.records.levels.measurement import QualityFlag, flag_names
 
 # the VISA library leaves the socket of a session that it could not open to the collector

@@ -446,11 +446,12 @@ def run(task: dict[str, Any], tmp_path: Path, *options: str, key: str = "secret"
 
 @pytest.fixture(autouse=True)
 def _restored_log() -> Any:
-    """Give the service's logger back as it was."""
-    root = logging.getLogger("service")
-    before = (root.handlers, root.level)
+    """Give the log of the process back as it was."""
+    root = logging.getLogger()
+    before = (root.handlers[:], root.level)
     yield
-    root.handlers, root.level = before
+    root.handlers[:], root.level = before
+    logging.captureWarnings(capture=False)
 
 
 @pytest.mark.parametrize(
