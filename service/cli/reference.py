@@ -1,10 +1,7 @@
 """``soo openapi`` and ``soo settings``: references that the code itself writes."""
 
-import json
-from collections.abc import Mapping
 from pathlib import Path
-from textwrap import wrap
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -43,99 +40,15 @@ The column *origin* says where a default comes from:
 """
 
 
-_TYPES_HEAD = '''"""Answers of the service as types, by ``make schema``; a newer service may add fields."""
-
-from typing import Any, Literal, TypedDict
-
-Json = dict[str, Any]
-'''
-#: schemas that have a type; any other object is `Json`
-TYPES = {
-    "AnglesAnswer": "Angles",
-    "AllowedAxesAnswer": "AllowedAxes",
-    "RowRemarkAnswer": "Refused",
-    "MeasurementReceiptAnswer": "Receipt",
-    "CatalogueWarning": "CatalogueWarningReply",
-    "PlanReceiptAnswer": "PlanPut",
-    "MeasurementAnswer": "MeasurementReply",
-    "ExclusionAnswer": "ExclusionReply",
-    "ControlReasonAnswer": "ControlReasonReply",
-    "AxisMotionAnswer": "AxisMotionReply",
-    "SpacecraftSituationAnswer": "SituationReply",
-    "VerdictAnswer": "Verdict",
-    "NewestAttitudeAnswer": "Attitude",
-    "JobAnswer": "JobReply",
-    "StatusAnswer": "StatusReply",
-    "PulseAnswer": "PulseReply",
-    "CheckAnswer": "Check",
-    "CommandAnswer": "CommandReply",
-    "ControlAnswer": "Control",
-}
-_PLAIN = {"string": "str", "number": "float", "integer": "int", "boolean": "bool", "null": "None"}
-_LINE = 120
-
-
-def client_types(document: Mapping[str, Any]) -> str:
-    """Return the module with the types of the schemas in `TYPES`, formatted as ruff formats it."""
-    schemas = document["components"]["schemas"]
-    return _TYPES_HEAD + "".join(_class(name, schemas[schema], schemas) for schema, name in TYPES.items())
-
-
-def _class(name: str, schema: Mapping[str, Any], schemas: Mapping[str, Any]) -> str:
-    """Return one class."""
-    lines = ["", "", f"class {name}(TypedDict):", f'    """{schema["description"].splitlines()[0]}"""', ""]
-    properties = schema["properties"]
-    for field in dict.fromkeys((*schema["required"], *properties)):
-        content = properties[field]
-        lines += (f"    #: {line}" for line in wrap(content.get("description", ""), _LINE - len("    #: ")))
-        lines += _broken(f"    {field}: {_type(content, schemas)}")
-    return "\n".join(lines) + "\n"
-
-
-def _broken(line: str) -> list[str]:
-    """Return a member on one line, else what is in brackets on one of its own, else each of these on its own."""
-    if len(line) <= _LINE:
-        return [line]
-    head, _, inner = line.removesuffix("]").partition("[")
-    inside = f"        {inner}"
-    each = [inside] if len(inside) <= _LINE else [f"        {one}," for one in inner.split(", ")]
-    return [f"{head}[", *each, "    ]"]
-
-
-def _type(schema: Mapping[str, Any], schemas: Mapping[str, Any]) -> str:
-    """Return the annotation of a schema."""
-    if "$ref" in schema:
-        referenced = schema["$ref"].rpartition("/")[2]
-        is_object = schemas[referenced].get("type") == "object"
-        return TYPES.get(referenced, "Json") if is_object else _type(schemas[referenced], schemas)
-    if "anyOf" in schema:
-        return " | ".join(_type(each, schemas) for each in schema["anyOf"])
-    if "enum" in schema:
-        values = ", ".join(f'"{value}"' for value in schema["enum"])
-        return f"Literal[{values}]"
-    if schema.get("type") == "array":
-        return f"list[{_type(schema['items'], schemas)}]"
-    if schema.get("type") == "object":
-        member = schema.get("additionalProperties")
-        return f"dict[str, {_type(member, schemas)}]" if isinstance(member, Mapping) else "Json"
-    return _PLAIN[schema["type"]]
-
-
 Output = Annotated[Path | None, typer.Option(help="File to write; without it the document is printed.")]
 
 
-def openapi(
-    types: Annotated[bool, typer.Option("--types", help="Types of the Python client instead of the document.")] = False,
-    output: Output = None,
-) -> None:
+def openapi(output: Output = None) -> None:
     """Write the OpenAPI document of this version."""
     # the web framework costs a quarter of a second that other commands need not pay
     from service.api.app import render_openapi
 
-    document = render_openapi()
-    if types:
-        document = client_types(json.loads(document))
-    _deliver(document, output)
+    _deliver(render_openapi(), output)
 
 
 def settings(
@@ -143,8 +56,6 @@ def settings(
     output: Output = None,
 ) -> None:
     """Print the settings in force, or the reference of all settings."""
-    from service.composition.settings import Settings
-
     _deliver(settings_markdown() if markdown else settings_text(Settings.model_validate({})) + "\n", output)
 
 

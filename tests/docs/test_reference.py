@@ -20,8 +20,9 @@ from typer.testing import CliRunner
 from analyzer_sim.__main__ import build_parser
 from analyzer_sim.serving import FAULT_NAMES
 from docs import reference_pages
+from docs.client_types import TYPES, client_types
 from service.cli.app import app
-from service.cli.reference import TYPES, client_types, settings_markdown
+from service.cli.reference import settings_markdown
 from service.client import documents
 from service.composition.settings import Settings, setting_entries
 from service.core.estimation.filtering.row_block import EXCLUSIONS
