@@ -47,17 +47,8 @@ from analyzer_sim.world.ground.ground import (
 )
 from analyzer_sim.world.orbit import EARTH_RATE_RAD_S
 from analyzer_sim.world.scenario.story import Scenario
-from analyzer_sim.world.spacecraft import body
+from analyzer_sim.world.spacecraft import body, telemetry
 from analyzer_sim.world.spacecraft.hub_tones import HubTone
-from analyzer_sim.world.spacecraft.telemetry import (
-    PERIOD_H,
-    TelemetryRecord,
-    disturbance,
-    fed_forward,
-    unloaded,
-    unloadings_us,
-    with_errors,
-)
 from analyzer_sim.world.spacecraft.uplink import (
     UPLINKS,
     Angles,
@@ -223,7 +214,7 @@ class Plant:
         self._noise_db = sweep_noise_db(self.world, sweep_noise)
         self.open_dbm = measured_dbm(self.world, sweep_noise)[: self.first_row]
         self._attitude_deg = self.world.rows.attitude_deg.copy()
-        self._disturbance = disturbance(scenario, seed, self._epochs_us[self.first_row :])
+        self._disturbance = telemetry.disturbance(scenario, seed, self._epochs_us[self.first_row :])
         self.reports: list[Report] = []
         is_perfect = options.onboard == "perfect"
         self.uplink = Uplink(UPLINKS[options.uplink].within(scenario.keeping.slowest_uplink_s), seed)
@@ -331,10 +322,12 @@ class Plant:
     def _unload(self, begin_us: int, end_us: int) -> None:
         """Let thrusters take away what the wheels hold beyond their bias, where the story says so for a span."""
         figures = self.world.scenario.wheels
-        before, after = np.searchsorted(unloadings_us(self.world.scenario), [begin_us, end_us], side="right").tolist()
+        before, after = np.searchsorted(
+            telemetry.unloadings_us(self.world.scenario), [begin_us, end_us], side="right"
+        ).tolist()
         if figures is None or before == after:
             return
-        left = unloaded(figures, self.world.seed, after).tolist()
+        left = telemetry.unloaded(figures, self.world.seed, after).tolist()
         for wheel, momentum in zip(self.flown.wheels, left, strict=True):
             wheel.momentum_n_m_s = momentum
 
@@ -347,7 +340,7 @@ class Plant:
         flown.response, flown.tones = options.response, options.tones
         return flown
 
-    def reported_telemetry(self) -> TelemetryRecord:
+    def reported_telemetry(self) -> telemetry.TelemetryRecord:
         """Return the story's newest record of the wheels at the present row."""
         reported = (one for one in self.world.telemetry if one.wheel_momentum_n_m_s is not None)
         return [record for record in reported if record.reported_us <= self.epoch_us][-1]
@@ -405,7 +398,7 @@ def fed_forward_line(world: World) -> Line | None:
     """Return the profile that the loop on board feeds forward, as the catalogue states one; None = it is not known."""
     if not world.scenario.is_torque_stated:
         return None
-    reported = fed_forward(world.scenario, world.seed)
+    reported = telemetry.fed_forward(world.scenario, world.seed)
     parts = {"constant_n_m": reported.constant_n_m, "cosine_n_m": reported.cosine_n_m, "sine_n_m": reported.sine_n_m}
     torques = {name: dict(zip(_AXES, part.tolist(), strict=True)) for name, part in parts.items()}
     return {"epoch": rfc3339(reported.epoch_us), "period_s": reported.period_s, **torques}
@@ -441,12 +434,12 @@ def _momentum_of(plant: Plant) -> Line:
     momentum, reported, figures = plant.momentum_n_m_s, plant.reported_telemetry(), plant.world.scenario.wheels
     is_active = reported.thrusters_active
     if figures is None:
-        is_active = is_active and plant.epoch_us - reported.reported_us < PERIOD_H * _US_PER_H // 2
+        is_active = is_active and plant.epoch_us - reported.reported_us < telemetry.PERIOD_H * _US_PER_H // 2
     elif reported.reported_us != plant.epoch_us:
         return {}
     else:
         noise = stream(plant.world.seed, "wheel noise", str(plant.row)).normal(size=3)
-        momentum = with_errors(figures, plant.world.seed, np.array(momentum), noise).tolist()
+        momentum = telemetry.with_errors(figures, plant.world.seed, np.array(momentum), noise).tolist()
     return {
         "wheel_momentum_n_m_s": [round(h, 6) for h in momentum],
         "wheel_speed_rpm": [round(body.rotor_speed_rpm(h), 3) for h in momentum],

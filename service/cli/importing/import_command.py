@@ -16,14 +16,7 @@ import typer
 
 from service.cli.command_group import end, new_app
 from service.cli.importing.dialogue import EXIT_DIFFERENT, EXIT_STOPPED, answer, is_terminal, printable, shown, stop
-from service.cli.operation.connection import (
-    DEFAULT_KEY_ENVIRONMENT,
-    DEFAULT_SERVICE,
-    JsonOption,
-    KeyEnvironment,
-    ServiceUrl,
-    connected,
-)
+from service.cli.operation import connection
 
 if TYPE_CHECKING:
     from service.cli.importing.folder import ImportFiles
@@ -51,9 +44,9 @@ def import_files(
     align: Annotated[bool, typer.Option("--align", help="Align, so that angles begin.")] = False,
     patience: Annotated[float, typer.Option(min=0.0, help="Seconds to wait for powers and angles.")] = 600.0,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Compare with the service, send nothing.")] = False,
-    service: ServiceUrl = DEFAULT_SERVICE,
-    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
-    as_json: JsonOption = False,
+    service: connection.ServiceUrl = connection.DEFAULT_SERVICE,
+    key_env: connection.KeyEnvironment = connection.DEFAULT_KEY_ENVIRONMENT,
+    as_json: connection.JsonOption = False,
 ) -> None:
     """Send files: spacecraft, carriers, orbit, readings and powers; creates what is missing, changes nothing."""
     if propose and (calibrate or align or dry_run):
@@ -72,7 +65,7 @@ def import_files(
         manifest = read_manifest(folder)
         require_files(manifest, folder)
         signal.signal(signal.SIGTERM, stop)
-        with connected(service, key_env, retries=0, timeout_s=60.0) as client:
+        with connection.connected(service, key_env, retries=0, timeout_s=60.0) as client:
             done = _import(client, folder, manifest, patience, is_dry=dry_run, is_quiet=as_json)
             if not dry_run:
                 done |= _operate(client, done, manifest, (calibrate, align, accept, patience), is_quiet=as_json)

@@ -19,15 +19,7 @@ import typer
 
 from service.cli.command_group import end
 from service.cli.importing import dialogue
-from service.cli.operation.connection import (
-    DEFAULT_KEY_ENVIRONMENT,
-    DEFAULT_SERVICE,
-    JsonOption,
-    KeyEnvironment,
-    ServiceUrl,
-    chosen_spacecraft,
-    connected,
-)
+from service.cli.operation import connection
 
 if TYPE_CHECKING:
     from service.client.service_client import ServiceClient
@@ -37,7 +29,7 @@ if TYPE_CHECKING:
 
 def _spacecraft_of(ctx: typer.Context, given: str) -> str:
     """Return the spacecraft that is meant; the file of one names it itself."""
-    return "" if ctx.params.get("kind") is dialogue.FileRole.SPACECRAFT else chosen_spacecraft(ctx, given)
+    return "" if ctx.params.get("kind") is dialogue.FileRole.SPACECRAFT else connection.chosen_spacecraft(ctx, given)
 
 
 #: what may be stated of the catalogue; of a table: the fields of its entry in ``soo.yaml``
@@ -77,9 +69,9 @@ def put(
         Path | None, typer.Option(help="Folder for progress and refused rows.", file_okay=False)
     ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Read and check the file, store nothing.")] = False,
-    service: ServiceUrl = DEFAULT_SERVICE,
-    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
-    as_json: JsonOption = False,
+    service: connection.ServiceUrl = connection.DEFAULT_SERVICE,
+    key_env: connection.KeyEnvironment = connection.DEFAULT_KEY_ENVIRONMENT,
+    as_json: connection.JsonOption = False,
 ) -> None:
     """Store one file: a spacecraft, a carrier plan, an orbit, readings of a sensor, or powers of carriers."""
     options = dict(locals())
@@ -88,7 +80,9 @@ def put(
 
     signal.signal(signal.SIGTERM, dialogue.stop)
     order = _PutOrder(kind, file, spacecraft, _stated(kind, state or []), options)
-    with connected(service, key_env, retries=0 if kind is dialogue.FileRole.POWERS else 3, timeout_s=60.0) as client:
+    with connection.connected(
+        service, key_env, retries=0 if kind is dialogue.FileRole.POWERS else 3, timeout_s=60.0
+    ) as client:
         try:
             _PUTTERS[kind](client, order)
         except ForeignTableError as error:

@@ -15,15 +15,7 @@ import typer
 from numpy.typing import NDArray
 
 from service.cli.command_group import end, require
-from service.cli.operation.connection import (
-    DEFAULT_KEY_ENVIRONMENT,
-    DEFAULT_SERVICE,
-    JsonOption,
-    KeyEnvironment,
-    ServiceUrl,
-    SpacecraftOption,
-    connected,
-)
+from service.cli.operation import connection
 from service.records.epoch import format_epoch, parse_epoch
 from service.records.levels.attitude import FloatArray, IntArray
 
@@ -156,14 +148,14 @@ _LIVE = "live"
 def compare(
     first: Annotated[str, typer.Argument(help="Version: `live`, or `replay-1` and so on.")],
     second: Annotated[str, typer.Argument(help="The other version; differences are this one minus the first.")],
-    spacecraft: SpacecraftOption,
+    spacecraft: connection.SpacecraftOption,
     start: Annotated[str | None, typer.Option(help="From here, RFC 3339; default: where both spans begin.")] = None,
     stop: Annotated[str | None, typer.Option(help="To here, exclusive; default: where the first span ends.")] = None,
     method: Annotated[str, typer.Option(help="`robust` or `paper`.")] = "robust",
     figure: Annotated[Path | None, typer.Option(help="Draw the differences into this PNG or SVG file.")] = None,
-    service: ServiceUrl = DEFAULT_SERVICE,
-    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
-    as_json: JsonOption = False,
+    service: connection.ServiceUrl = connection.DEFAULT_SERVICE,
+    key_env: connection.KeyEnvironment = connection.DEFAULT_KEY_ENVIRONMENT,
+    as_json: connection.JsonOption = False,
 ) -> None:
     """Compare the attitude of two versions row by row."""
     if first == second:
@@ -172,7 +164,7 @@ def compare(
         require("matplotlib")
     # numpy costs more than the command line itself
 
-    with connected(service, key_env) as client:
+    with connection.connected(service, key_env) as client:
         span = _span(client, spacecraft, (first, second), start, stop)
         found = compared(
             *(

@@ -10,16 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from service.cli.command_group import Scheduler, end
-from service.cli.operation.connection import (
-    DEFAULT_KEY_ENVIRONMENT,
-    DEFAULT_SERVICE,
-    JsonOption,
-    KeyEnvironment,
-    ServiceUrl,
-    SpacecraftOption,
-    connected,
-    on_service,
-)
+from service.cli.operation import connection
 from service.records.epoch import parse_epoch
 
 if TYPE_CHECKING:
@@ -31,17 +22,17 @@ Start = Annotated[str, typer.Option(help="RFC 3339 start, inclusive.")]
 Stop = Annotated[str, typer.Option(help="RFC 3339 stop, exclusive.")]
 
 
-@on_service
+@connection.on_service
 def calibrate(
     client: "ServiceClient",
-    spacecraft: SpacecraftOption,
+    spacecraft: connection.SpacecraftOption,
     quiet: Annotated[tuple[str, str], typer.Option(help="Start and stop of the quiet window.")],
     turns: Annotated[tuple[str, str], typer.Option(help="Start and stop of the calibration turns.")],
     method: Annotated[str, typer.Option(help="`geometry` serves both methods, `paper` only itself.")] = "geometry",
     source: Annotated[str, typer.Option(help="Sensor of the attitude references.")] = "star_tracker",
     activate: Annotated[bool, typer.Option("--activate", help="Make it the active one when it is done.")] = False,
     override_reason: Annotated[str | None, typer.Option(help="Why it is activated with inconsistent turns.")] = None,
-    as_json: JsonOption = False,
+    as_json: connection.JsonOption = False,
 ) -> None:
     """Fit daily changes and sensitivities from quiet days and calibration turns."""
     body = {
@@ -64,15 +55,15 @@ def calibrate(
         typer.echo(f"warning: {warning}")
 
 
-@on_service
+@connection.on_service
 def align(
     client: "ServiceClient",
-    spacecraft: SpacecraftOption,
+    spacecraft: connection.SpacecraftOption,
     start: Start,
     stop: Stop,
     source: Annotated[str, typer.Option(help="Sensor of the attitude references.")] = "star_tracker",
     override_reason: Annotated[str | None, typer.Option(help="Why angles hold that the powers contradict.")] = None,
-    as_json: JsonOption = False,
+    as_json: connection.JsonOption = False,
 ) -> None:
     """Take angles and reference powers from a window; from then on no sensor is used."""
     body = {"start": start, "stop": stop, "source": source}
@@ -96,7 +87,7 @@ def align(
 
 
 def replay(
-    spacecraft: SpacecraftOption,
+    spacecraft: connection.SpacecraftOption,
     start: Start,
     stop: Stop,
     method: Annotated[str | None, typer.Option(help="Only this method.")] = None,
@@ -115,9 +106,9 @@ def replay(
     database: Annotated[
         str | None, typer.Option(help="SQLAlchemy URL of the archive, for --workers and --scheduler.")
     ] = None,
-    service: ServiceUrl = DEFAULT_SERVICE,
-    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
-    as_json: JsonOption = False,
+    service: connection.ServiceUrl = connection.DEFAULT_SERVICE,
+    key_env: connection.KeyEnvironment = connection.DEFAULT_KEY_ENVIRONMENT,
+    as_json: connection.JsonOption = False,
 ) -> None:
     """Run the chain again over the archive, as a new version."""
     body = {
@@ -131,7 +122,7 @@ def replay(
         "smooth": smooth,
     }
     if workers is None and scheduler is None:
-        with connected(service, key_env) as client:
+        with connection.connected(service, key_env) as client:
             wanted = {name: value for name, value in body.items() if value is not None}
             started = client.request("POST", f"/spacecraft/{spacecraft}/replays", wanted)
             wait_for_job(client, started["job"], "replay")
@@ -142,7 +133,7 @@ def replay(
         from service.study.demonstration.judgement import METHODS, compare_with_live
 
         methods = (method,) if method else METHODS
-        with connected(service, key_env) as client:
+        with connection.connected(service, key_env) as client:
             report |= compare_with_live(client, spacecraft, start, stop, methods, report["version"])
     typer.echo(json.dumps(report) if as_json else ", ".join(f"{name} {value}" for name, value in report.items()))
     if compare and report["rows_different"]:
@@ -188,12 +179,12 @@ def _shown(what: str) -> Iterator[Callable[[float], None]]:
         yield lambda share: progress.update(task, completed=share)
 
 
-@on_service
+@connection.on_service
 def replays(
     client: "ServiceClient",
-    spacecraft: SpacecraftOption,
+    spacecraft: connection.SpacecraftOption,
     delete: Annotated[int | None, typer.Option(help="Delete the replay of this number first.")] = None,
-    as_json: JsonOption = False,
+    as_json: connection.JsonOption = False,
 ) -> None:
     """List the versions that replays wrote, or delete one."""
     if delete is not None:
@@ -215,7 +206,7 @@ EXIT_STOPPED = 1
 
 def export(
     *,
-    spacecraft: SpacecraftOption,
+    spacecraft: connection.SpacecraftOption,
     series: Annotated[
         str,
         typer.Option(
@@ -235,9 +226,9 @@ def export(
     method: Annotated[str | None, typer.Option(help="Estimation method of attitude and joined.")] = None,
     version: Annotated[str | None, typer.Option(help="Version: live or that of a replay.")] = None,
     patience: Annotated[float, typer.Option(min=0.0, help="Seconds to wait for a service that is away.")] = 600.0,
-    service: ServiceUrl = DEFAULT_SERVICE,
-    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
-    as_json: JsonOption = False,
+    service: connection.ServiceUrl = connection.DEFAULT_SERVICE,
+    key_env: connection.KeyEnvironment = connection.DEFAULT_KEY_ENVIRONMENT,
+    as_json: connection.JsonOption = False,
 ) -> None:
     """Download a stretch of the archive."""
     # httpx costs more than the command line itself
@@ -246,7 +237,7 @@ def export(
     order = DownloadOrder(spacecraft, series, format_, start, stop, method, version, patience)
     if output is None and (by_day or as_json):
         end("--by-day and --json need --output")
-    with connected(service, key_env, retries=0, timeout_s=120.0) as client:
+    with connection.connected(service, key_env, retries=0, timeout_s=120.0) as client:
         if output is None:
             for chunk in client.download(f"/spacecraft/{spacecraft}/archive/{series}:export", order.parameters):
                 sys.stdout.buffer.write(chunk)

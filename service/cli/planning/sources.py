@@ -27,17 +27,9 @@ from service.formats.foreign.table import Container, ForeignTableError, read_tab
 from service.pipeline.calibration.geometry_rows import CalibrationError
 from service.pipeline.config import CalibrationConfig, InterlockConfig
 from service.pipeline.inputs.catalogue_checks import contradiction_of
+from service.pipeline.planning import quiet_days
 from service.pipeline.planning.assumed_beams import AssumedPayload, offered_sites
 from service.pipeline.planning.planning import Candidates, Recommendation, Rule, candidates_of, recommend
-from service.pipeline.planning.quiet_days import (
-    ALLAN_SPANS_S,
-    QuietDays,
-    QuietLevels,
-    SuspectedTurn,
-    quiet_levels,
-    sidereal_orbit,
-    suspected_turns,
-)
 from service.pipeline.planning.rehearsal import Rehearsal, rehearse
 from service.records.catalogue import CarrierPlan, Spacecraft
 from service.records.epoch import US_PER_S, format_epoch
@@ -196,7 +188,7 @@ def planned_by_quiet_days(
     epochs_us = powers.rows.series.epochs_us
     span_us = int(epochs_us[0]), int(epochs_us[-1])
     try:
-        orbit = sidereal_orbit(*span_us) if orbit_path is None else read_orbit(orbit_path)[1]
+        orbit = quiet_days.sidereal_orbit(*span_us) if orbit_path is None else read_orbit(orbit_path)[1]
     except ForeignTableError as error:
         raise InvalidInputError("plan.ephemeris", f"{orbit_path}: {error}") from None
     contradiction = None if orbit_path is None else contradiction_of(orbit, spacecraft.longitude_deg)
@@ -206,9 +198,9 @@ def planned_by_quiet_days(
         reach = f"{format_epoch(orbit.valid_start_us)} to {format_epoch(orbit.valid_stop_us)}"
         detail = f"{orbit_path} reaches from {reach}, the quiet days begin at {format_epoch(span_us[0])}"
         raise InvalidInputError("plan.ephemeris", f"{detail} and end at {format_epoch(span_us[1])}")
-    days = QuietDays(spacecraft, plan, orbit, powers.rows)
-    levels = quiet_levels(days)
-    suspected = suspected_turns(epochs_us, levels.residual_db, payload.response.slope)
+    days = quiet_days.QuietDays(spacecraft, plan, orbit, powers.rows)
+    levels = quiet_days.quiet_levels(days)
+    suspected = quiet_days.suspected_turns(epochs_us, levels.residual_db, payload.response.slope)
     try:
         rehearsal = rehearse(days, levels, payload.response, far_yaw=request.far_yaw)
     except CalibrationError as error:
@@ -240,7 +232,9 @@ def planned_by_quiet_days(
     return QuietPlanning(document, rehearsal)
 
 
-def _candidates(rehearsal: Rehearsal, payload: AssumedPayload, plan: CarrierPlan, levels: QuietLevels) -> Candidates:
+def _candidates(
+    rehearsal: Rehearsal, payload: AssumedPayload, plan: CarrierPlan, levels: quiet_days.QuietLevels
+) -> Candidates:
     """Return the carriers of the rehearsed calibration; reasons of the plan, the beams and the file come first."""
     candidates = candidates_of(rehearsal.result, plan)
     is_absent: BoolArray = np.asarray(~np.isfinite(levels.residual_db).any(axis=0))
@@ -251,7 +245,7 @@ def _candidates(rehearsal: Rehearsal, payload: AssumedPayload, plan: CarrierPlan
     return replace(candidates, refusals=tuple(refusals))
 
 
-def _carriers(candidates: Candidates, levels: QuietLevels) -> list[dict[str, Any]]:
+def _carriers(candidates: Candidates, levels: quiet_days.QuietLevels) -> list[dict[str, Any]]:
     """Return what the quiet days show of each carrier."""
     present = np.isfinite(levels.residual_db).mean(axis=0)
     return [
@@ -264,7 +258,7 @@ def _carriers(candidates: Candidates, levels: QuietLevels) -> list[dict[str, Any
             "daily_change": json.loads(CarrierHarmonicAnswer.of(levels.harmonics[k]).model_dump_json()),
             "allan_db": [
                 {"span_s": span_s, "deviation_db": _finite(levels.allan_db[number, k])}
-                for number, span_s in enumerate(ALLAN_SPANS_S)
+                for number, span_s in enumerate(quiet_days.ALLAN_SPANS_S)
             ],
         }
         for k, name in enumerate(candidates.carrier_ids)
@@ -292,7 +286,7 @@ def _prediction(rehearsal: Rehearsal) -> dict[str, Any]:
 
 
 def _verdict(
-    rehearsal: Rehearsal, recommendation: Recommendation, suspected: tuple[SuspectedTurn, ...]
+    rehearsal: Rehearsal, recommendation: Recommendation, suspected: tuple[quiet_days.SuspectedTurn, ...]
 ) -> dict[str, Any]:
     """Return whether it could work, and one sentence with the reason."""
     share, sigma = rehearsal.prediction.allowed_share, rehearsal.prediction.usual_sigma_deg
@@ -312,7 +306,7 @@ def _verdict(
     return {"works": True, "verdict": f"Yes: {expected}; {allowed}"}
 
 
-def _turns_note(suspected: tuple[SuspectedTurn, ...]) -> str:
+def _turns_note(suspected: tuple[quiet_days.SuspectedTurn, ...]) -> str:
     """Return the hours that look like turns."""
     spans = [
         f"{format_epoch(one.window.start_us)} to {format_epoch(one.window.stop_us)} ({one.reach_deg:.2f} deg)"

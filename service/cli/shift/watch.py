@@ -14,15 +14,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 
 from service.cli.command_group import end
-from service.cli.operation.connection import (
-    DEFAULT_KEY_ENVIRONMENT,
-    DEFAULT_SERVICE,
-    OLDER,
-    KeyEnvironment,
-    ServiceUrl,
-    SpacecraftOption,
-    connected,
-)
+from service.cli.operation import connection
 from service.cli.shift import tables
 from service.client.documents import Json
 from service.records.epoch import DAY_US, US_PER_S, format_epoch, parse_epoch
@@ -289,22 +281,22 @@ class LiveReader:
 
 
 def watch(
-    spacecraft: SpacecraftOption,
+    spacecraft: connection.SpacecraftOption,
     once: Annotated[bool, typer.Option("--once", help="Print one screen and end, as without a terminal.")] = False,
-    service: ServiceUrl = DEFAULT_SERVICE,
-    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
+    service: connection.ServiceUrl = connection.DEFAULT_SERVICE,
+    key_env: connection.KeyEnvironment = connection.DEFAULT_KEY_ENVIRONMENT,
 ) -> None:
     """Follow a spacecraft on one screen; q or Ctrl-C ends it."""
     console = tables.screen()
     with (
-        connected(service, key_env, retries=0, timeout_s=_TIMEOUT_S) as client,
-        connected(service, key_env) as streaming,
+        connection.connected(service, key_env, retries=0, timeout_s=_TIMEOUT_S) as client,
+        connection.connected(service, key_env) as streaming,
     ):
         try:
             reader = LiveReader(client, streaming, spacecraft)
             first = render(reader.state, console)
         except KeyError as error:
-            end(f"the answer of the service has no {error}: {OLDER}", 1, error)
+            end(f"the answer of the service has no {error}: {connection.OLDER}", 1, error)
         if once or not console.is_terminal:
             console.print(first)
             return

@@ -32,6 +32,7 @@ from service.cli.importing.manifest import (
     read_stated,
     write_manifest,
 )
+from service.cli.operation import connection
 from service.client.service_client import ServiceClient
 from service.formats.foreign.columns import PowersStatement as PowersSection
 from service.formats.foreign.table import ForeignTableError
@@ -147,7 +148,7 @@ def service(monkeypatch: pytest.MonkeyPatch) -> Service:
     def connected_client(service: str, key: str, **_: object) -> ServiceClient:
         return ServiceClient("http://service", key, retries=0, http=client)
 
-    real = command.connected
+    real = connection.connected
 
     @contextmanager
     def connected(*given: Any, **options: Any) -> Iterator[Any]:
@@ -156,7 +157,7 @@ def service(monkeypatch: pytest.MonkeyPatch) -> Service:
             with real(*given, **options) as found:
                 yield found
 
-    monkeypatch.setattr(command, "connected", connected)
+    monkeypatch.setattr(connection, "connected", connected)
     return made
 
 

@@ -14,6 +14,7 @@ from foreign_orbits import attitude_message, elements, omm_kvn, quaternion, tle
 from typer.testing import CliRunner, Result
 
 from service.cli.importing import put_command
+from service.cli.operation import connection
 from service.client.service_client import ServiceClient
 
 SITE = {"name": "Shchyolkovo", "latitude_deg": 55.92, "longitude_deg": 38.0, "height_m": 160.0}
@@ -73,7 +74,7 @@ def service(monkeypatch: pytest.MonkeyPatch) -> Catalogue:
     def connected(*_: object, **__: object) -> ServiceClient:
         return ServiceClient("http://service", "key", retries=0, http=httpx.MockTransport(made.handle))
 
-    monkeypatch.setattr(put_command, "connected", connected)
+    monkeypatch.setattr(connection, "connected", connected)
     return made
 
 
