@@ -22,18 +22,7 @@ from pydantic_settings import (
 
 from service.api.access.auth import origins_of
 from service.api.limits.rate_limits import RateLimitConfig
-from service.pipeline.config import (
-    AlarmConfig,
-    AlignmentConfig,
-    CalibrationConfig,
-    ChainConfig,
-    EstimationConfig,
-    FadeConfig,
-    InterlockConfig,
-    OperationConfig,
-    RobustConfig,
-    TorqueConfig,
-)
+from service.pipeline import config
 from service.pipeline.control.release.interlock_conditions import ReleaseSettings
 from service.records.setting import CHOSEN, SettingEntry, SettingSource
 from service.records.storage import RetentionConfig, SealingConfig
@@ -155,24 +144,26 @@ class Settings(BaseSettings):
     alarm_mail_from: str = Field("soo@localhost", description="sender of notices")
     alarm_mail_to: str | None = Field(None, description="receivers of notices, by commas")
     workers: WorkerConfig = Field(WorkerConfig(), description="calibrations in worker processes")
-    calibration: CalibrationConfig = Field(CalibrationConfig(), description="calibration jobs")
-    alignment: AlignmentConfig = Field(AlignmentConfig(), description="alignments")
-    estimation: EstimationConfig = Field(EstimationConfig(), description="the paper method in operation")
-    fade: FadeConfig = Field(FadeConfig(), description="downlink rain rule")
-    interlock: InterlockConfig = Field(InterlockConfig(), description="what inhibits control")
-    torque: TorqueConfig = Field(TorqueConfig(), description="torque pulses")
+    calibration: config.CalibrationConfig = Field(config.CalibrationConfig(), description="calibration jobs")
+    alignment: config.AlignmentConfig = Field(config.AlignmentConfig(), description="alignments")
+    estimation: config.EstimationConfig = Field(config.EstimationConfig(), description="the paper method in operation")
+    fade: config.FadeConfig = Field(config.FadeConfig(), description="downlink rain rule")
+    interlock: config.InterlockConfig = Field(config.InterlockConfig(), description="what inhibits control")
+    torque: config.TorqueConfig = Field(config.TorqueConfig(), description="torque pulses")
     release: ReleaseSettings = Field(ReleaseSettings(), description="release of torques")
-    robust: RobustConfig = Field(RobustConfig(), description="the robust method in operation")
-    operations: OperationConfig = Field(OperationConfig(), description="what declared operations mean to it")
+    robust: config.RobustConfig = Field(config.RobustConfig(), description="the robust method in operation")
+    operations: config.OperationConfig = Field(
+        config.OperationConfig(), description="what declared operations mean to it"
+    )
     smoothing: SmoothingConfig = Field(SmoothingConfig(), description="live series of smoothed angles")
 
-    alarms: AlarmConfig = Field(AlarmConfig(), description="alarms by default")
+    alarms: config.AlarmConfig = Field(config.AlarmConfig(), description="alarms by default")
     sealing: SealingConfig = Field(SealingConfig(), description="packing of closed days")
     retention: RetentionConfig = Field(RetentionConfig(), description="how long series are kept")
 
-    def chain_config(self) -> ChainConfig:
+    def chain_config(self) -> config.ChainConfig:
         """Return the configuration of every chain."""
-        return ChainConfig(
+        return config.ChainConfig(
             self.estimation,
             self.fade,
             self.interlock,

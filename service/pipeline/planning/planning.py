@@ -15,17 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from service.core.estimation import design
 from service.core.estimation.attitude_bound import DriftStatistics, WheelStatistics, attitude_bound_deg
 from service.core.estimation.calibration.whitened_fit import ColouredNoise
-from service.core.estimation.design import (
-    MIN_CARRIERS,
-    MIN_REDUNDANCY,
-    choose_carriers,
-    largest_share,
-    most_share,
-    recommended_turns,
-    weighted_variance_deg2,
-)
 from service.core.estimation.observability import SetStatistics, averaged_crlb_deg, crlb_deg, judge_set
 from service.core.estimation.paper.selection import AxisSelection, SelectionReason, axis_dominance, select_by_axis
 from service.pipeline.inputs.known_motion import rate_sensor_model
@@ -330,7 +322,7 @@ def recommend(
     usable = candidates.is_usable
     sensitivity, sigma = candidates.sensitivity_db_per_deg, candidates.sigma_db
     numbers = candidates.transponder_numbers
-    chosen = choose_carriers(sensitivity, sigma, numbers, count, eligible=usable, level=candidates.level)
+    chosen = design.choose_carriers(sensitivity, sigma, numbers, count, eligible=usable, level=candidates.level)
     is_sound = usable & np.array([not refusal for refusal in candidates.paper_refusals], dtype=np.bool_)
     by_axis = select_by_axis(sensitivity, is_sound, count, yaw_scale=yaw_scale)
     losses = _left_out_costs(candidates, chosen)
@@ -356,7 +348,7 @@ def judged_set(candidates: Candidates, chosen: IntArray) -> CarrierSet:
     figures = judge_set(sensitivity, sigma, level)
     averaged = averaged_crlb_deg(sensitivity, noise, np.array(AVERAGING_SPANS_S), ROW_PERIOD_S, level)
     numbers = candidates.transponder_numbers[chosen]
-    share = largest_share(numbers)
+    share = design.largest_share(numbers)
     return CarrierSet(
         chosen,
         figures,
@@ -370,16 +362,16 @@ def _shortcomings(figures: SetStatistics, transponders: list[str], share: float)
     """Return the requirements that a set misses, with its figures and the required ones."""
     count = len(transponders)
     fullest = max(sorted(set(transponders)), key=transponders.count, default="")
-    most = most_share(count)
+    most = design.most_share(count)
     texts = (
         (
             bool(np.isfinite(figures.crlb_deg).all()),
             "the carriers do not determine three angles and a level common to all of them",
         ),
-        (count >= MIN_CARRIERS, f"{count} carriers; the robust method wants at least {MIN_CARRIERS}"),
+        (count >= design.MIN_CARRIERS, f"{count} carriers; the robust method wants at least {design.MIN_CARRIERS}"),
         (
-            figures.redundancy >= MIN_REDUNDANCY,
-            f"{figures.redundancy} carriers beyond the unknowns; {MIN_REDUNDANCY} keep faults from hiding",
+            figures.redundancy >= design.MIN_REDUNDANCY,
+            f"{figures.redundancy} carriers beyond the unknowns; {design.MIN_REDUNDANCY} keep faults from hiding",
         ),
         (
             share <= most + 1e-9,
@@ -393,7 +385,7 @@ def _shortcomings(figures: SetStatistics, transponders: list[str], share: float)
 def _left_out_costs(candidates: Candidates, chosen: IntArray) -> FloatArray:
     """Return the weighted sum of variances (C,) when each carrier of a set is left out; infinite = all is lost."""
     bounds_deg = [_bound_deg(candidates, chosen[chosen != k]) for k in chosen]
-    return weighted_variance_deg2(np.array(bounds_deg).reshape(-1, 3))
+    return design.weighted_variance_deg2(np.array(bounds_deg).reshape(-1, 3))
 
 
 def _bound_deg(candidates: Candidates, chosen: IntArray) -> FloatArray:
@@ -410,7 +402,7 @@ def _further(candidates: Candidates, chosen: IntArray, offered: Candidates | Non
     before_deg = _bound_deg(every, chosen)
     while len(found) < MOST_FURTHER and free.size:
         bounds_deg = np.array([_bound_deg(every, np.append(chosen, k)) for k in free])
-        costs = weighted_variance_deg2(bounds_deg)
+        costs = design.weighted_variance_deg2(bounds_deg)
         best = int(np.argmin(costs))
         if not math.isfinite(costs[best]):
             break
@@ -467,7 +459,7 @@ def _paper_word(k: int, candidates: Candidates, by_axis: AxisSelection) -> Carri
 def turn_timetable(start_us: int, *, far_yaw: bool = False) -> tuple[TurnStep, ...]:
     """Return the recommended calibration turns from a start on, level after level, rests at zero included."""
     steps: list[TurnStep] = []
-    for turn in recommended_turns(far_yaw=far_yaw):
+    for turn in design.recommended_turns(far_yaw=far_yaw):
         begin_us = steps[-1].stop_us if steps else start_us
         steps.append(TurnStep(begin_us, begin_us + round(turn.minutes * 60.0 * US_PER_S), Axes(*turn.attitude_deg)))
     return tuple(steps)
