@@ -226,7 +226,7 @@ def schedule_of(pulses: Sequence[slew_schedule.AxisPulse], start_us: int) -> tup
 
     Examples
     --------
-    >>> schedule_of((AxisPulse(1, 2.0, 5.0, 0.01),), 7_000_000)
+    >>> schedule_of((slew_schedule.AxisPulse(1, 2.0, 5.0, 0.01),), 7_000_000)
     (Pulse(start_us=9000000, duration_s=5.0, torque_n_m=Axes(yaw=0.0, roll=0.01, pitch=0.0)),)
     """
     return tuple(
