@@ -1,16 +1,20 @@
 """``soo openapi`` and ``soo settings``: references that the code itself writes."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.composition.settings import Settings, setting_entries
-from service.records.setting import ORIGINS
+if TYPE_CHECKING:
+    from service.composition.settings import Settings
 
 
 def settings_markdown() -> str:
     """Return the page of settings: defaults, whatever the environment says."""
+    # validation costs more than the command line itself
+    from service.composition.settings import Settings, setting_entries
+    from service.records.setting import ORIGINS
+
     origins = "\n".join(f"* *{word}*: {meaning}" for word, meaning in ORIGINS.items())
     rows = "\n".join(
         f"| `{entry.name}` | {entry.default} | {entry.meaning} | {entry.origin} |"
@@ -19,8 +23,10 @@ def settings_markdown() -> str:
     return f"{_HEAD}\n{origins}\n\n| variable | default | meaning | origin |\n|---|---|---|---|\n{rows}\n"
 
 
-def settings_text(settings: Settings) -> str:
+def settings_text(settings: "Settings") -> str:
     """Return the values in force, one line a setting; what differs from its default is marked."""
+    from service.composition.settings import setting_entries
+
     entries = list(setting_entries(settings))
     width = max(len(entry.name) for entry in entries)
     return "\n".join(
@@ -56,6 +62,8 @@ def settings(
     output: Output = None,
 ) -> None:
     """Print the settings in force, or the reference of all settings."""
+    from service.composition.settings import Settings
+
     _deliver(settings_markdown() if markdown else settings_text(Settings.model_validate({})) + "\n", output)
 
 
