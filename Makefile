@@ -122,7 +122,7 @@ hooks: $(DEV_STAMP) ## check every commit before it is made (.pre-commit-config.
 
 schema: $(STAMP) ## write the OpenAPI document and the client's types of its answers
 	$(BIN)/soo openapi --output docs/reference/openapi.json
-	$(BIN)/soo openapi --types --output service/client/documents.py
+	$(BIN)/python -m docs.client_types
 
 archive: $(DEV_STAMP) ## make the archive new that the tests open and estimate from
 	PYTHONPATH=tests/fakes/worlds:tests/fakes/drivers:tests/fakes/ports $(BIN)/python -m fixture_archive

@@ -25,11 +25,10 @@ from analyzer_sim.dialects.dialect import Dialect
 from analyzer_sim.dialects.dialects import DIALECTS
 from analyzer_sim.dialects.rs import RS
 from analyzer_sim.epochs import rfc3339
-from analyzer_sim.instrument.imperfections import IDEAL
+from analyzer_sim.instrument.imperfections import IDEAL, TraceFault, TraceFaults
 from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.instrument.painter import Detail, TracePainter
 from analyzer_sim.instrument.sweep_progress import Pace, SweepProgress
-from analyzer_sim.instrument.trace_faults import TraceFault, TraceFaults
 from analyzer_sim.instrument.truth_log import TruthLog
 from analyzer_sim.lines.dispatcher import Dispatcher, poll_permission
 from analyzer_sim.lines.hislip_server import HislipServer

@@ -4,7 +4,6 @@ import sys
 
 from bench import (
     bench_chain,
-    bench_export,
     bench_ingest,
     bench_replay,
     bench_start,
@@ -24,7 +23,6 @@ def main() -> int:
         bench_replay,
         bench_stream,
         bench_start,
-        bench_export,
         bench_summaries,
         bench_memory,
         fleet,

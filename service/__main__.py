@@ -14,7 +14,7 @@ def main() -> None:
     try:
         app()
     except ModuleNotFoundError as error:
-        from service.cli.extras import EXTRA_OF
+        from service.cli.command_group import EXTRA_OF
 
         extra = EXTRA_OF.get((error.name or "").partition(".")[0])
         if extra is None:

@@ -11,39 +11,9 @@ trace both are.
 
 from dataclasses import replace
 
+from analyzer_sim.dialects import settings_rows as rows
+from analyzer_sim.dialects import sweep_rows as sweeps
 from analyzer_sim.dialects.dialect import Call, Command, Dialect, TraceFormat, TraceStyle
-from analyzer_sim.dialects.settings_rows import (
-    bandwidth_rows,
-    channel_power,
-    channel_power_rows,
-    channel_row,
-    channel_switch_row,
-    constant,
-    format_row,
-    frequency_rows,
-    inert,
-    inert_number,
-    level_rows,
-    number_text,
-    numeric,
-    previous_span_row,
-    reset_channel,
-    results_text,
-    start_sweep,
-    sweep_time_rows,
-    trace_row,
-)
-from analyzer_sim.dialects.sweep_rows import (
-    COMMON_COMMANDS,
-    LOCAL_ROWS,
-    SYSTEM_COMMANDS,
-    application_row,
-    continuous_row,
-    detector_rows,
-    initiate_row,
-    trace_mode_row,
-    unit_row,
-)
 from analyzer_sim.epochs import rfc3339
 from analyzer_sim.instrument.instrument_settings import MS2090A, Settings
 from analyzer_sim.instrument.levels import definite_block
@@ -120,7 +90,7 @@ def _preamble_fields(settings: Settings) -> dict[str, str]:
         "SWEEP_TYPE": "CONTINUOUS" if settings.is_continuous else "SINGLE",
         "TRACE_MODE": (settings.hold or "AVERAGE") if settings.is_averaging else "NORMAL",
         "UI_DATA_POINTS": str(settings.points),
-        "SET_SWEEP_TIME": f"{number_text(settings.time_s)} S",
+        "SET_SWEEP_TIME": f"{rows.number_text(settings.time_s)} S",
     }
 
 
@@ -139,7 +109,7 @@ def _preamble(call: Call, number: int = 1) -> bytes:  # noqa: ARG001 - the trace
 
 def _configure_channel_power(call: Call) -> None:
     settings = call.instrument.settings
-    reset_channel(call).is_selected = True
+    rows.reset_channel(call).is_selected = True
     settings.detector, settings.is_detector_auto = "RMS", False
     settings.is_continuous = False
     call.instrument.abort()
@@ -148,83 +118,83 @@ def _configure_channel_power(call: Call) -> None:
 
 def _measure_channel_power(call: Call) -> None:
     _configure_channel_power(call)
-    start_sweep(call)
+    rows.start_sweep(call)
 
 
 def _channel_results(call: Call, which: slice) -> str:
     try:
-        return results_text(channel_power(call)[which], _NO_RESULT)
+        return rows.results_text(rows.channel_power(call)[which], _NO_RESULT)
     except ScpiError:
         return ",".join([_NO_RESULT] * (which.stop - which.start))
 
 
 #: a width that was not set is answered as the span
 _CHANNEL_WIDTH_ROW = replace(
-    channel_row(f"{_SENSE}:CHPower:BANDwidth|BWIDth:INTegration", "width_hz", MS2090A.channel_width_hz),
-    query=lambda call: number_text(call.instrument.channel.width_hz or call.instrument.settings.span_hz),
+    rows.channel_row(f"{_SENSE}:CHPower:BANDwidth|BWIDth:INTegration", "width_hz", MS2090A.channel_width_hz),
+    query=lambda call: rows.number_text(call.instrument.channel.width_hz or call.instrument.settings.span_hz),
     query_parameters=(),
 )
 
 _FREQUENCY_ROWS = (
-    *frequency_rows(f"{_SENSE}:FREQuency", "STEP[:INCRement]"),
-    previous_span_row(f"{_SENSE}:FREQuency:SPAN:LAST|PREVious"),
+    *rows.frequency_rows(f"{_SENSE}:FREQuency", "STEP[:INCRement]"),
+    rows.previous_span_row(f"{_SENSE}:FREQuency:SPAN:LAST|PREVious"),
 )
 
 _BANDWIDTH_ROWS = (
-    *bandwidth_rows(_BANDWIDTH),
-    numeric(f"{_BANDWIDTH}[:RESolution]:RATio", "rbw_per_span"),
-    inert(f"{_BANDWIDTH}:VIDeo:TYPE", "LIN", ("LINear", "LOGarithmic")),
+    *rows.bandwidth_rows(_BANDWIDTH),
+    rows.numeric(f"{_BANDWIDTH}[:RESolution]:RATio", "rbw_per_span"),
+    rows.inert(f"{_BANDWIDTH}:VIDeo:TYPE", "LIN", ("LINear", "LOGarithmic")),
 )
 
 _SWEEP_ROWS = (
-    numeric("DISPlay:POINtcount", "points"),
-    *sweep_time_rows(f"{_SENSE}:SWEep"),
-    *detector_rows(f"{_SENSE}:DETector[:FUNCtion]", f"{_SENSE}:DETector[:FUNCtion]:AUTO", _DETECTORS),
-    numeric(f"{_SENSE}:AVERage:COUNt", "average_count"),
+    rows.numeric("DISPlay:POINtcount", "points"),
+    *rows.sweep_time_rows(f"{_SENSE}:SWEep"),
+    *sweeps.detector_rows(f"{_SENSE}:DETector[:FUNCtion]", f"{_SENSE}:DETector[:FUNCtion]:AUTO", _DETECTORS),
+    rows.numeric(f"{_SENSE}:AVERage:COUNt", "average_count"),
     Command(f"{_SENSE}:AVERage:TYPE", _put_average_type, _average_type, (Choice(_AVERAGE_WORDS),)),
-    trace_mode_row("TRACe<6>:TYPE", "NORMal"),
-    trace_mode_row("TRACe<6>:OPERation", "NORMal"),
-    initiate_row("INITiate[:IMMediate]"),
-    initiate_row("INITiate:ALL"),
-    continuous_row("INITiate:CONTinuous"),
-    inert("TRIGger[:SEQuence]:SOURce", "IMM", ("IMMediate",)),
+    sweeps.trace_mode_row("TRACe<6>:TYPE", "NORMal"),
+    sweeps.trace_mode_row("TRACe<6>:OPERation", "NORMal"),
+    sweeps.initiate_row("INITiate[:IMMediate]"),
+    sweeps.initiate_row("INITiate:ALL"),
+    sweeps.continuous_row("INITiate:CONTinuous"),
+    rows.inert("TRIGger[:SEQuence]:SOURce", "IMM", ("IMMediate",)),
 )
 
 _LEVEL_ROWS = (
-    *level_rows(_TRACE_Y, f"{_POWER}:ATTenuation", f"{_POWER}:GAIN[:STATe]"),
-    inert_number(f"{_TRACE_Y}:PDIVision", 10.0, 1.0, 15.0, DECIBELS),
-    constant(f"{_SENSE}:CORRection:IMPedance[:INPut][:MAGNitude]", "50"),
-    unit_row("UNIT:POWer", _UNITS),
+    *rows.level_rows(_TRACE_Y, f"{_POWER}:ATTenuation", f"{_POWER}:GAIN[:STATe]"),
+    rows.inert_number(f"{_TRACE_Y}:PDIVision", 10.0, 1.0, 15.0, DECIBELS),
+    rows.constant(f"{_SENSE}:CORRection:IMPedance[:INPut][:MAGNitude]", "50"),
+    sweeps.unit_row("UNIT:POWer", _UNITS),
 )
 
 _TRACE_ROWS = (
-    format_row("FORMat[:READings][:DATA]", TRACE_STYLE),
-    trace_row("TRACe[:DATA]", TRACE_STYLE, _TRACE_NAME),
+    rows.format_row("FORMat[:READings][:DATA]", TRACE_STYLE),
+    rows.trace_row("TRACe[:DATA]", TRACE_STYLE, _TRACE_NAME),
     Command("TRACe[:DATA]:PREamble", query=_preamble, query_parameters=(_TRACE_NAME,)),
 )
 
 _CHANNEL_POWER_ROWS = (
     Command("CONFigure", query=lambda call: "CHP" if call.instrument.channel.is_selected else "SAN"),
     Command("CONFigure:CHPower", _configure_channel_power),
-    channel_switch_row(f"{_SENSE}:CHPower:STATe", "is_selected"),
+    rows.channel_switch_row(f"{_SENSE}:CHPower:STATe", "is_selected"),
     _CHANNEL_WIDTH_ROW,
-    numeric(f"{_SENSE}:CHPower:FREQuency:SPAN", "span_hz", HERTZ),
-    *channel_power_rows("FETCh:CHPower<2>", _channel_results),
-    *channel_power_rows("READ:CHPower<2>", _channel_results, start_sweep),
-    *channel_power_rows("MEASure:CHPower<2>", _channel_results, _measure_channel_power),
+    rows.numeric(f"{_SENSE}:CHPower:FREQuency:SPAN", "span_hz", HERTZ),
+    *rows.channel_power_rows("FETCh:CHPower<2>", _channel_results),
+    *rows.channel_power_rows("READ:CHPower<2>", _channel_results, rows.start_sweep),
+    *rows.channel_power_rows("MEASure:CHPower<2>", _channel_results, _measure_channel_power),
 )
 
 _MISCELLANEOUS_ROWS = (
-    constant("*IDN", IDENTITY),
-    constant("*OPT", '"0031,0726"'),
-    application_row("INSTrument[:SELect]", '"SPA"', frozenset({"SPA"})),
-    application_row(f"{_SENSE}:MODE", "SPEC", frozenset({"SPEC", "SPECTRUM"})),
-    constant(f"{_SENSE}:MODE:CATalog", "SPEC"),
-    constant("FETCh:GPS", _NO_FIX),
-    constant("FETCh:GPS:FULL", _NO_FIX),
-    constant("FETCh:GPS:ALL", _NO_FIX),
-    constant("FETCh:GPS:LAST", _NO_FIX),
-    *LOCAL_ROWS,
+    rows.constant("*IDN", IDENTITY),
+    rows.constant("*OPT", '"0031,0726"'),
+    sweeps.application_row("INSTrument[:SELect]", '"SPA"', frozenset({"SPA"})),
+    sweeps.application_row(f"{_SENSE}:MODE", "SPEC", frozenset({"SPEC", "SPECTRUM"})),
+    rows.constant(f"{_SENSE}:MODE:CATalog", "SPEC"),
+    rows.constant("FETCh:GPS", _NO_FIX),
+    rows.constant("FETCh:GPS:FULL", _NO_FIX),
+    rows.constant("FETCh:GPS:ALL", _NO_FIX),
+    rows.constant("FETCh:GPS:LAST", _NO_FIX),
+    *sweeps.LOCAL_ROWS,
 )
 
 ANRITSU = Dialect(
@@ -239,8 +209,8 @@ ANRITSU = Dialect(
     traces=TRACE_STYLE,
     units=_UNITS,
     commands=(
-        *COMMON_COMMANDS,
-        *SYSTEM_COMMANDS,
+        *sweeps.COMMON_COMMANDS,
+        *sweeps.SYSTEM_COMMANDS,
         *_FREQUENCY_ROWS,
         *_BANDWIDTH_ROWS,
         *_SWEEP_ROWS,

@@ -17,53 +17,9 @@ second are there.
 
 from collections.abc import Mapping
 
+from analyzer_sim.dialects import settings_rows as rows
+from analyzer_sim.dialects import sweep_rows as sweeps
 from analyzer_sim.dialects.dialect import Call, Command, Dialect, TraceFormat, TraceStyle
-from analyzer_sim.dialects.settings_rows import (
-    bandwidth_rows,
-    byte_order_row,
-    channel_power,
-    channel_power_rows,
-    channel_row,
-    channel_switch_row,
-    constant,
-    format_row,
-    frequency_rows,
-    inert,
-    inert_number,
-    level_rows,
-    levels_shown,
-    number_text,
-    numeric,
-    pairs_shown,
-    previous_span_row,
-    reset_channel,
-    results_text,
-    start_sweep,
-    step_auto_row,
-    sweep_time_rows,
-    trace_reader,
-    trace_row,
-    zero_span_row,
-)
-from analyzer_sim.dialects.sweep_rows import (
-    BY_TYPE,
-    COMMON_COMMANDS,
-    DB6_RATIO,
-    IMPULSE_RATIO,
-    LOCAL_ROWS,
-    NOISE_RATIO,
-    SYSTEM_COMMANDS,
-    application_row,
-    average_state_row,
-    average_type_row,
-    continuous_row,
-    detector_rows,
-    filter_type_row,
-    initiate_row,
-    register_rows,
-    trace_mode_row,
-    unit_row,
-)
 from analyzer_sim.instrument.channel_power import OWN_AVERAGES, OWN_SPAN_HZ, own_sweep_settings
 from analyzer_sim.instrument.instrument_settings import N9020B, Settings, reset_state
 from analyzer_sim.instrument.levels import ascii_list
@@ -75,13 +31,13 @@ IDENTITY = "Keysight Technologies,N9020B,MY57430101,A.30.05"
 _OPTIONS = '"526,B25,EA3,P26"'
 _DETECTORS = {
     "NORMal": "APE",
-    "AVERage": BY_TYPE,
+    "AVERage": sweeps.BY_TYPE,
     "POSitive": "POS",
     "SAMPle": "SAMP",
     "NEGative": "NEG",
     "QPEak": "QPE",
 }
-_FILTER_TYPES = {"DB3": 1.0, "DB6": DB6_RATIO, "NOISe": NOISE_RATIO, "IMPulse": IMPULSE_RATIO}
+_FILTER_TYPES = {"DB3": 1.0, "DB6": sweeps.DB6_RATIO, "NOISe": sweeps.NOISE_RATIO, "IMPulse": sweeps.IMPULSE_RATIO}
 _AVERAGE_TYPES = {"LOG": "VID", "RMS": "POW", "SCALar": "LIN"}
 _UNITS = ("DBM", "DBMV", "DBMA", "V", "W", "A", "DBUV", "DBUA", "DBPW")
 _FIELD_UNITS = ("DBUVM", "DBUAM", "DBPT", "DBG")
@@ -150,7 +106,7 @@ def _configure_spectrum(call: Call) -> None:
 
 def _measure_spectrum(call: Call) -> None:
     _configure_spectrum(call)
-    start_sweep(call)
+    rows.start_sweep(call)
 
 
 def _initiate_spectrum(call: Call) -> None:
@@ -175,7 +131,7 @@ def _select_channel_power(call: Call) -> None:
 
 
 def _configure_channel_power(call: Call) -> None:
-    reset_channel(call)
+    rows.reset_channel(call)
     _select_channel_power(call)
 
 
@@ -186,20 +142,20 @@ def _initiate_channel_power(call: Call) -> None:
 
 def _read_channel_power(call: Call) -> None:
     _select_channel_power(call)
-    start_sweep(call)
+    rows.start_sweep(call)
 
 
 def _measure_channel_power(call: Call) -> None:
     _configure_channel_power(call)
-    start_sweep(call)
+    rows.start_sweep(call)
 
 
 def _channel_results(call: Call, which: slice) -> str:
     if not call.instrument.channel.is_selected:
         raise ScpiError(-221, "CHP is not selected")
-    values = channel_power(call)[which]
+    values = rows.channel_power(call)[which]
     is_trace = len(values) > 1 and call.suffix("CHPower") > 1
-    return ascii_list(levels_shown(call)) if is_trace else results_text(values)
+    return ascii_list(rows.levels_shown(call)) if is_trace else rows.results_text(values)
 
 
 def _channel_sweep(call: Call) -> Settings:
@@ -231,71 +187,73 @@ def _coupled_rows(pattern: str, name: str, units: Mapping[str, float]) -> tuple[
         return str(int(getattr(call.instrument.channel, name) is None))
 
     return (
-        Command(pattern, write, lambda call: number_text(load(_channel_sweep(call), name)), (Numeric(units),)),
+        Command(pattern, write, lambda call: rows.number_text(load(_channel_sweep(call), name)), (Numeric(units),)),
         Command(f"{pattern}:AUTO", write_auto, query_auto, (Boolean(),)),
     )
 
 
 _FREQUENCY_ROWS = (
-    *frequency_rows(f"{_SENSE}:FREQuency", "CENTer:STEP[:INCRement]"),
-    step_auto_row(f"{_SENSE}:FREQuency:CENTer:STEP:AUTO"),
-    previous_span_row(f"{_SENSE}:FREQuency:SPAN:PREVious"),
-    numeric(f"{_SENSE}:FREQuency:SPAN:BANDwidth[:RESolution]:RATio", "span_per_rbw"),
-    zero_span_row(f"{_SENSE}:FREQuency:SPAN:ZERO"),
+    *rows.frequency_rows(f"{_SENSE}:FREQuency", "CENTer:STEP[:INCRement]"),
+    rows.step_auto_row(f"{_SENSE}:FREQuency:CENTer:STEP:AUTO"),
+    rows.previous_span_row(f"{_SENSE}:FREQuency:SPAN:PREVious"),
+    rows.numeric(f"{_SENSE}:FREQuency:SPAN:BANDwidth[:RESolution]:RATio", "span_per_rbw"),
+    rows.zero_span_row(f"{_SENSE}:FREQuency:SPAN:ZERO"),
 )
 
 _BANDWIDTH_ROWS = (
-    *bandwidth_rows(_BANDWIDTH),
-    filter_type_row(f"{_BANDWIDTH}[:RESolution]:TYPE", _FILTER_TYPES),
-    inert(f"{_BANDWIDTH}:SHAPe", "GAUS", ("GAUSsian",)),
+    *rows.bandwidth_rows(_BANDWIDTH),
+    sweeps.filter_type_row(f"{_BANDWIDTH}[:RESolution]:TYPE", _FILTER_TYPES),
+    rows.inert(f"{_BANDWIDTH}:SHAPe", "GAUS", ("GAUSsian",)),
 )
 
 _SWEEP_ROWS = (
-    numeric(f"{_SENSE}:SWEep:POINts", "points"),
-    *sweep_time_rows(f"{_SENSE}:SWEep"),
-    inert(f"{_SENSE}:SWEep:TIME:AUTO:RULes", "NORM", ("NORMal", "ACCuracy", "SRESponse")),
+    rows.numeric(f"{_SENSE}:SWEep:POINts", "points"),
+    *rows.sweep_time_rows(f"{_SENSE}:SWEep"),
+    rows.inert(f"{_SENSE}:SWEep:TIME:AUTO:RULes", "NORM", ("NORMal", "ACCuracy", "SRESponse")),
     Command(f"{_SENSE}:SWEep:TYPE", _put_sweep_type, _sweep_type, (Choice(("SWEep", "FFT", "AUTO")),)),
     Command(f"{_SENSE}:SWEep:TYPE:AUTO", _put_sweep_type_auto, _sweep_type_auto, (Boolean(),)),
-    *detector_rows(f"{_SENSE}:DETector:TRACe<6>", f"{_SENSE}:DETector:TRACe<6>:AUTO", _DETECTORS),
-    *detector_rows(f"{_SENSE}:DETector[:FUNCtion]", f"{_SENSE}:DETector:AUTO", _DETECTORS),
-    average_state_row(f"{_SENSE}:AVERage[:STATe]"),
-    numeric(f"{_SENSE}:AVERage:COUNt", "average_count"),
-    average_type_row(f"{_SENSE}:AVERage:TYPE", _AVERAGE_TYPES, does_detector_follow=True),
+    *sweeps.detector_rows(f"{_SENSE}:DETector:TRACe<6>", f"{_SENSE}:DETector:TRACe<6>:AUTO", _DETECTORS),
+    *sweeps.detector_rows(f"{_SENSE}:DETector[:FUNCtion]", f"{_SENSE}:DETector:AUTO", _DETECTORS),
+    sweeps.average_state_row(f"{_SENSE}:AVERage[:STATe]"),
+    rows.numeric(f"{_SENSE}:AVERage:COUNt", "average_count"),
+    sweeps.average_type_row(f"{_SENSE}:AVERage:TYPE", _AVERAGE_TYPES, does_detector_follow=True),
     Command(f"{_SENSE}:AVERage:TYPE:AUTO", _put_average_type_auto, _average_type_auto, (Boolean(),)),
-    trace_mode_row("TRACe<6>:TYPE", "WRITe"),
-    initiate_row("INITiate[:IMMediate]"),
-    continuous_row("INITiate:CONTinuous"),
+    sweeps.trace_mode_row("TRACe<6>:TYPE", "WRITe"),
+    sweeps.initiate_row("INITiate[:IMMediate]"),
+    sweeps.continuous_row("INITiate:CONTinuous"),
     Command("INITiate:RESTart", _restart),
     Command("INITiate:SANalyzer", _initiate_spectrum),
-    inert("TRIGger[:SEQuence]:SOURce", "IMM", ("IMMediate",)),
-    inert("TRIGger[:SEQuence]:RF:SOURce", "IMM", ("IMMediate",)),
+    rows.inert("TRIGger[:SEQuence]:SOURce", "IMM", ("IMMediate",)),
+    rows.inert("TRIGger[:SEQuence]:RF:SOURce", "IMM", ("IMMediate",)),
 )
 
 _LEVEL_ROWS = (
-    *level_rows(_TRACE_Y, f"{_POWER}:ATTenuation", f"{_POWER}:GAIN[:STATe]"),
-    inert_number(f"{_TRACE_Y}:PDIVision", 10.0, 0.1, 20.0, DECIBELS),
-    inert(f"{_POWER}:GAIN:BAND", "LOW", ("LOW", "FULL")),
-    inert(f"{_POWER}:MW:PATH", "STD", ("STD", "LNPath", "MPBypass", "FULL")),
-    inert("INPut<1>:COUPling", "AC", ("AC", "DC")),
-    constant(f"{_SENSE}:CORRection:IMPedance[:INPut][:MAGNitude]", "50"),
-    unit_row("UNIT:POWer", _UNITS, _FIELD_UNITS),
+    *rows.level_rows(_TRACE_Y, f"{_POWER}:ATTenuation", f"{_POWER}:GAIN[:STATe]"),
+    rows.inert_number(f"{_TRACE_Y}:PDIVision", 10.0, 0.1, 20.0, DECIBELS),
+    rows.inert(f"{_POWER}:GAIN:BAND", "LOW", ("LOW", "FULL")),
+    rows.inert(f"{_POWER}:MW:PATH", "STD", ("STD", "LNPath", "MPBypass", "FULL")),
+    rows.inert("INPut<1>:COUPling", "AC", ("AC", "DC")),
+    rows.constant(f"{_SENSE}:CORRection:IMPedance[:INPut][:MAGNitude]", "50"),
+    sweeps.unit_row("UNIT:POWer", _UNITS, _FIELD_UNITS),
 )
 
 _TRACE_ROWS = (
-    format_row("FORMat[:TRACe][:DATA]", TRACE_STYLE),
-    byte_order_row("FORMat:BORDer"),
-    trace_row("TRACe[:DATA]", TRACE_STYLE, TraceName(("TRACE",), 6)),
-    Command("CALCulate:DATA<6>", query=trace_reader(TRACE_STYLE, pairs_shown, "DATA"), query_waits=True),
-    Command(f"FETCh:{_SPECTRUM}", query=trace_reader(TRACE_STYLE, pairs_shown, "SANalyzer"), query_waits=True),
+    rows.format_row("FORMat[:TRACe][:DATA]", TRACE_STYLE),
+    rows.byte_order_row("FORMat:BORDer"),
+    rows.trace_row("TRACe[:DATA]", TRACE_STYLE, TraceName(("TRACE",), 6)),
+    Command("CALCulate:DATA<6>", query=rows.trace_reader(TRACE_STYLE, rows.pairs_shown, "DATA"), query_waits=True),
+    Command(
+        f"FETCh:{_SPECTRUM}", query=rows.trace_reader(TRACE_STYLE, rows.pairs_shown, "SANalyzer"), query_waits=True
+    ),
     Command(
         f"READ:{_SPECTRUM}",
-        query=trace_reader(TRACE_STYLE, pairs_shown, "SANalyzer"),
+        query=rows.trace_reader(TRACE_STYLE, rows.pairs_shown, "SANalyzer"),
         query_waits=True,
-        query_starts=start_sweep,
+        query_starts=rows.start_sweep,
     ),
     Command(
         f"MEASure:{_SPECTRUM}",
-        query=trace_reader(TRACE_STYLE, pairs_shown, "SANalyzer"),
+        query=rows.trace_reader(TRACE_STYLE, rows.pairs_shown, "SANalyzer"),
         query_waits=True,
         query_starts=_measure_spectrum,
     ),
@@ -305,33 +263,33 @@ _CHANNEL_POWER_ROWS = (
     Command("CONFigure:CHPower", _configure_channel_power),
     Command("CONFigure:CHPower:NDEFault", _select_channel_power),
     Command("INITiate:CHPower", _initiate_channel_power),
-    *channel_power_rows("FETCh:CHPower<2>", _channel_results),
-    *channel_power_rows("READ:CHPower<2>", _channel_results, _read_channel_power),
-    *channel_power_rows("MEASure:CHPower<2>", _channel_results, _measure_channel_power),
-    channel_row(f"{_CHANNEL}:BANDwidth|BWIDth:INTegration", "width_hz", N9020B.channel_width_hz),
-    channel_row(f"{_CHANNEL}:FREQuency:SPAN", "span_hz", OWN_SPAN_HZ, reshapes=True),
-    channel_row(f"{_CHANNEL}:AVERage:COUNt", "averages", OWN_AVERAGES, PURE, reshapes=True, is_whole=True),
-    channel_switch_row(f"{_CHANNEL}:AVERage[:STATe]", "is_averaging", reshapes=True),
+    *rows.channel_power_rows("FETCh:CHPower<2>", _channel_results),
+    *rows.channel_power_rows("READ:CHPower<2>", _channel_results, _read_channel_power),
+    *rows.channel_power_rows("MEASure:CHPower<2>", _channel_results, _measure_channel_power),
+    rows.channel_row(f"{_CHANNEL}:BANDwidth|BWIDth:INTegration", "width_hz", N9020B.channel_width_hz),
+    rows.channel_row(f"{_CHANNEL}:FREQuency:SPAN", "span_hz", OWN_SPAN_HZ, reshapes=True),
+    rows.channel_row(f"{_CHANNEL}:AVERage:COUNt", "averages", OWN_AVERAGES, PURE, reshapes=True, is_whole=True),
+    rows.channel_switch_row(f"{_CHANNEL}:AVERage[:STATe]", "is_averaging", reshapes=True),
     *_coupled_rows(f"{_CHANNEL}:BANDwidth|BWIDth[:RESolution]", "rbw_hz", HERTZ),
     *_coupled_rows(f"{_CHANNEL}:SWEep:TIME", "time_s", SECONDS),
 )
 
 _MISCELLANEOUS_ROWS = (
-    constant("*IDN", IDENTITY),
-    constant("*OPT", _OPTIONS),
-    constant("*CAL", "0"),
-    constant("SYSTem:OPTions", _OPTIONS),
-    application_row("INSTrument[:SELect]", "SA", frozenset({"SA"})),
-    constant("INSTrument:CATalog", '"SA 1"'),
-    inert_number("INSTrument:NSELect", 1.0, 1.0, 1.0),
+    rows.constant("*IDN", IDENTITY),
+    rows.constant("*OPT", _OPTIONS),
+    rows.constant("*CAL", "0"),
+    rows.constant("SYSTem:OPTions", _OPTIONS),
+    sweeps.application_row("INSTrument[:SELect]", "SA", frozenset({"SA"})),
+    rows.constant("INSTrument:CATalog", '"SA 1"'),
+    rows.inert_number("INSTrument:NSELect", 1.0, 1.0, 1.0),
     Command("CONFigure", query=lambda call: "CHP" if call.instrument.channel.is_selected else "SAN"),
-    constant("CONFigure:CATalog", '"SAN, CHP"'),
+    rows.constant("CONFigure:CATalog", '"SAN, CHP"'),
     Command("CONFigure:SANalyzer", _configure_spectrum),
     Command("CONFigure:SANalyzer:NDEFault", _keep_spectrum),
-    inert("CALibration:AUTO", "ON", ("ON", "PARTial", "OFF", "ALERt")),
-    inert("DISPlay:ENABle", "1"),
-    *register_rows("STATus:QUEStionable:INTegrity", lambda status: status.questionable_integrity),
-    *LOCAL_ROWS,
+    rows.inert("CALibration:AUTO", "ON", ("ON", "PARTial", "OFF", "ALERt")),
+    rows.inert("DISPlay:ENABle", "1"),
+    *sweeps.register_rows("STATus:QUEStionable:INTegrity", lambda status: status.questionable_integrity),
+    *sweeps.LOCAL_ROWS,
 )
 
 KEYSIGHT = Dialect(
@@ -347,8 +305,8 @@ KEYSIGHT = Dialect(
     traces=TRACE_STYLE,
     units=_UNITS,
     commands=(
-        *COMMON_COMMANDS,
-        *SYSTEM_COMMANDS,
+        *sweeps.COMMON_COMMANDS,
+        *sweeps.SYSTEM_COMMANDS,
         *_FREQUENCY_ROWS,
         *_BANDWIDTH_ROWS,
         *_SWEEP_ROWS,

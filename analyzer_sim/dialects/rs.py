@@ -1,39 +1,8 @@
 """Rohde & Schwarz FSV and FSW: what measuring with traces needs, and the channel power of the trace shown."""
 
+from analyzer_sim.dialects import settings_rows as rows
+from analyzer_sim.dialects import sweep_rows as sweeps
 from analyzer_sim.dialects.dialect import Call, Command, Dialect, TraceFormat, TraceStyle
-from analyzer_sim.dialects.settings_rows import (
-    bandwidth_rows,
-    channel_power,
-    channel_row,
-    channel_switch_row,
-    choice,
-    constant,
-    format_row,
-    frequencies_shown,
-    frequency_rows,
-    inert,
-    inert_number,
-    level_rows,
-    numeric,
-    results_text,
-    step_auto_row,
-    sweep_time_rows,
-    trace_reader,
-    trace_row,
-)
-from analyzer_sim.dialects.sweep_rows import (
-    COMMON_COMMANDS,
-    LOCAL_ROWS,
-    SYSTEM_COMMANDS,
-    application_row,
-    average_state_row,
-    average_type_row,
-    continuous_row,
-    detector_rows,
-    initiate_row,
-    trace_mode_row,
-    unit_row,
-)
 from analyzer_sim.instrument.instrument_settings import FSW_26
 from analyzer_sim.instrument.quantities import QUANTITIES
 from analyzer_sim.scpi.errors import ScpiError
@@ -84,58 +53,58 @@ def _deselect(call: Call, is_on: bool) -> None:  # noqa: FBT001 - the one value 
 
 
 def _channel_result(call: Call, _measurement: str = "") -> str:
-    return results_text((channel_power(call)[int(call.instrument.channel.is_density)],))
+    return rows.results_text((rows.channel_power(call)[int(call.instrument.channel.is_density)],))
 
 
 _FREQUENCY_ROWS = (
-    *frequency_rows(_FREQUENCY, "CENTer:STEP"),
-    step_auto_row(f"{_FREQUENCY}:CENTer:STEP:AUTO"),
-    inert(f"{_FREQUENCY}:MODE", "SWE", ("SWEep",)),
+    *rows.frequency_rows(_FREQUENCY, "CENTer:STEP"),
+    rows.step_auto_row(f"{_FREQUENCY}:CENTer:STEP:AUTO"),
+    rows.inert(f"{_FREQUENCY}:MODE", "SWE", ("SWEep",)),
 )
 
 _BANDWIDTH_ROWS = (
-    *bandwidth_rows(_BANDWIDTH),
-    inert(f"{_BANDWIDTH}[:RESolution]:TYPE", "NORM", ("NORMal",)),
-    numeric(f"{_BANDWIDTH}[:RESolution]:RATio", "rbw_per_span"),
-    inert(f"{_BANDWIDTH}:VIDeo:TYPE", "LIN", ("LINear", "LOGarithmic")),
+    *rows.bandwidth_rows(_BANDWIDTH),
+    rows.inert(f"{_BANDWIDTH}[:RESolution]:TYPE", "NORM", ("NORMal",)),
+    rows.numeric(f"{_BANDWIDTH}[:RESolution]:RATio", "rbw_per_span"),
+    rows.inert(f"{_BANDWIDTH}:VIDeo:TYPE", "LIN", ("LINear", "LOGarithmic")),
 )
 
 _SWEEP_ROWS = (
-    numeric(f"{_SWEEP}:POINts", "points"),
-    *sweep_time_rows(_SWEEP),
+    rows.numeric(f"{_SWEEP}:POINts", "points"),
+    *rows.sweep_time_rows(_SWEEP),
     Command(f"{_SWEEP}:DURation", query=lambda call: f"{QUANTITIES['time_s'].load(call.instrument.settings):.12g}"),
-    numeric(f"{_SWEEP}:COUNt", "count"),
-    choice(f"{_SWEEP}:TYPE", "sweep_type", ("SWEep", "AUTO", "FFT")),
+    rows.numeric(f"{_SWEEP}:COUNt", "count"),
+    rows.choice(f"{_SWEEP}:TYPE", "sweep_type", ("SWEep", "AUTO", "FFT")),
     Command(f"{_SWEEP}:TYPE:USED", query=lambda call: "FFT" if call.instrument.settings.is_fft else "SWE"),
-    inert(f"{_SWEEP}:OPTimize", "AUTO", ("AUTO", "DYNamic", "SPEed")),
-    *detector_rows(f"{_DETECTOR}[:FUNCtion]", f"{_DETECTOR}[:FUNCtion]:AUTO", _DETECTORS),
-    average_state_row(f"{_SENSE}:AVERage<6>[:STATe<6>]"),
-    numeric(f"{_SENSE}:AVERage<6>:COUNt", "average_count"),
-    average_type_row(f"{_SENSE}:AVERage<6>:TYPE", {"VIDeo": "VID", "LINear": "LIN", "POWer": "POW"}),
-    trace_mode_row(f"{_DISPLAY_TRACE}:MODE", "WRITe"),
-    initiate_row("INITiate<16>[:IMMediate]"),
-    initiate_row("INITiate<16>:CONMeas"),
-    continuous_row("INITiate<16>:CONTinuous"),
+    rows.inert(f"{_SWEEP}:OPTimize", "AUTO", ("AUTO", "DYNamic", "SPEed")),
+    *sweeps.detector_rows(f"{_DETECTOR}[:FUNCtion]", f"{_DETECTOR}[:FUNCtion]:AUTO", _DETECTORS),
+    sweeps.average_state_row(f"{_SENSE}:AVERage<6>[:STATe<6>]"),
+    rows.numeric(f"{_SENSE}:AVERage<6>:COUNt", "average_count"),
+    sweeps.average_type_row(f"{_SENSE}:AVERage<6>:TYPE", {"VIDeo": "VID", "LINear": "LIN", "POWer": "POW"}),
+    sweeps.trace_mode_row(f"{_DISPLAY_TRACE}:MODE", "WRITe"),
+    sweeps.initiate_row("INITiate<16>[:IMMediate]"),
+    sweeps.initiate_row("INITiate<16>:CONMeas"),
+    sweeps.continuous_row("INITiate<16>:CONTinuous"),
 )
 
 _LEVEL_ROWS = (
-    *level_rows(f"{_DISPLAY_TRACE}:Y[:SCALe]", "INPut<2>:ATTenuation", "INPut<2>:GAIN:STATe"),
-    inert_number(f"{_DISPLAY_TRACE}:Y[:SCALe]", 100.0, 1.0, 200.0, DECIBELS),
-    inert_number(f"{_DISPLAY_TRACE}:Y[:SCALe]:PDIVision", 10.0, 0.1, 20.0, DECIBELS),
-    inert(f"{_DISPLAY_TRACE}:Y[:SCALe]:MODE", "ABS", ("ABSolute", "RELative")),
-    inert(f"{_DISPLAY_TRACE}:Y:SPACing", "LOG", ("LOGarithmic", "LINear", "LDB", "PERCent")),
-    inert("INPut<2>:COUPling", "AC", ("AC", "DC")),
-    constant("INPut<2>:IMPedance", "50"),
-    unit_row("UNIT<16>:POWer", _UNITS, synonyms=_SYNONYMS),
-    unit_row("CALCulate<16>:UNIT:POWer", _UNITS, synonyms=_SYNONYMS),
+    *rows.level_rows(f"{_DISPLAY_TRACE}:Y[:SCALe]", "INPut<2>:ATTenuation", "INPut<2>:GAIN:STATe"),
+    rows.inert_number(f"{_DISPLAY_TRACE}:Y[:SCALe]", 100.0, 1.0, 200.0, DECIBELS),
+    rows.inert_number(f"{_DISPLAY_TRACE}:Y[:SCALe]:PDIVision", 10.0, 0.1, 20.0, DECIBELS),
+    rows.inert(f"{_DISPLAY_TRACE}:Y[:SCALe]:MODE", "ABS", ("ABSolute", "RELative")),
+    rows.inert(f"{_DISPLAY_TRACE}:Y:SPACing", "LOG", ("LOGarithmic", "LINear", "LDB", "PERCent")),
+    rows.inert("INPut<2>:COUPling", "AC", ("AC", "DC")),
+    rows.constant("INPut<2>:IMPedance", "50"),
+    sweeps.unit_row("UNIT<16>:POWer", _UNITS, synonyms=_SYNONYMS),
+    sweeps.unit_row("CALCulate<16>:UNIT:POWer", _UNITS, synonyms=_SYNONYMS),
 )
 
 _TRACE_ROWS = (
-    format_row("FORMat[:DATA]", TRACE_STYLE),
-    trace_row(_TRACE, TRACE_STYLE, _TRACE_NAME),
+    rows.format_row("FORMat[:DATA]", TRACE_STYLE),
+    rows.trace_row(_TRACE, TRACE_STYLE, _TRACE_NAME),
     Command(
         f"{_TRACE}:X",
-        query=trace_reader(TRACE_STYLE, frequencies_shown),
+        query=rows.trace_reader(TRACE_STYLE, rows.frequencies_shown),
         query_parameters=(_TRACE_NAME,),
         query_required=1,
     ),
@@ -156,24 +125,24 @@ _CHANNEL_POWER_ROWS = (
         query_required=1,
         query_waits=True,
     ),
-    channel_switch_row(f"{_POWER}:RESult:PHZ", "is_density"),
-    inert(f"{_POWER}:MODE", "WRIT", ("WRITe",)),
+    rows.channel_switch_row(f"{_POWER}:RESult:PHZ", "is_density"),
+    rows.inert(f"{_POWER}:MODE", "WRIT", ("WRITe",)),
     Command("FETCh<16>:CPOWer:RESult", query=_channel_result, query_waits=True),
-    channel_row(f"{_CHANNEL}:BWIDth|BANDwidth[:CHANnel<18>]", "width_hz", FSW_26.channel_width_hz),
-    inert_number(f"{_CHANNEL}:TXCHannel:COUNt", 1.0, 1.0, 1.0),
+    rows.channel_row(f"{_CHANNEL}:BWIDth|BANDwidth[:CHANnel<18>]", "width_hz", FSW_26.channel_width_hz),
+    rows.inert_number(f"{_CHANNEL}:TXCHannel:COUNt", 1.0, 1.0, 1.0),
 )
 
 _MISCELLANEOUS_ROWS = (
-    constant("*IDN", IDENTITY),
-    constant("*OPT", "0"),
-    application_row("INSTrument[:SELect]", "SAN", _APPLICATIONS),
-    constant("INSTrument:LIST", "'SANALYZER','Spectrum'"),
-    constant(f"{_SENSE}:CORRection[:STATe]", "0"),
-    inert("TRIGger<16>[:SEQuence]:SOURce", "IMM", ("IMMediate",)),
-    constant("TRIGger<16>[:SEQuence]:LEVel", "0"),
-    inert("SYSTem:DISPlay:UPDate", "0"),
-    inert("DISPlay:FORMat", "SING", ("SINGle", "SPLit")),
-    *LOCAL_ROWS,
+    rows.constant("*IDN", IDENTITY),
+    rows.constant("*OPT", "0"),
+    sweeps.application_row("INSTrument[:SELect]", "SAN", _APPLICATIONS),
+    rows.constant("INSTrument:LIST", "'SANALYZER','Spectrum'"),
+    rows.constant(f"{_SENSE}:CORRection[:STATe]", "0"),
+    rows.inert("TRIGger<16>[:SEQuence]:SOURce", "IMM", ("IMMediate",)),
+    rows.constant("TRIGger<16>[:SEQuence]:LEVel", "0"),
+    rows.inert("SYSTem:DISPlay:UPDate", "0"),
+    rows.inert("DISPlay:FORMat", "SING", ("SINGle", "SPLit")),
+    *sweeps.LOCAL_ROWS,
 )
 
 RS = Dialect(
@@ -187,8 +156,8 @@ RS = Dialect(
     traces=TRACE_STYLE,
     units=_UNITS,
     commands=(
-        *COMMON_COMMANDS,
-        *SYSTEM_COMMANDS,
+        *sweeps.COMMON_COMMANDS,
+        *sweeps.SYSTEM_COMMANDS,
         *_FREQUENCY_ROWS,
         *_BANDWIDTH_ROWS,
         *_SWEEP_ROWS,

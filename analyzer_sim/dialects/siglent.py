@@ -6,44 +6,9 @@ a sweep is polled with ``TRACe:SWEep:STATe?``. ``MEASure:CHPower`` answers from 
 first only when the settings have changed since and the instrument does not sweep without end [K].
 """
 
+from analyzer_sim.dialects import settings_rows as rows
+from analyzer_sim.dialects import sweep_rows as sweeps
 from analyzer_sim.dialects.dialect import Call, Command, Dialect, TraceFormat, TraceStyle
-from analyzer_sim.dialects.settings_rows import (
-    bandwidth_rows,
-    channel_power,
-    channel_power_rows,
-    channel_row,
-    choice,
-    constant,
-    format_row,
-    frequency_rows,
-    inert,
-    inert_number,
-    level_rows,
-    numeric,
-    previous_span_row,
-    results_text,
-    scaled_span_row,
-    start_sweep,
-    step_auto_row,
-    sweep_time_rows,
-    trace_row,
-    zero_span_row,
-)
-from analyzer_sim.dialects.sweep_rows import (
-    BY_TYPE,
-    COMMON_COMMANDS,
-    DB6_RATIO,
-    LOCAL_ROWS,
-    SYSTEM_COMMANDS,
-    application_row,
-    average_type_row,
-    continuous_row,
-    detector_rows,
-    filter_type_row,
-    initiate_row,
-    trace_mode_row,
-    unit_row,
-)
 from analyzer_sim.instrument.instrument_settings import SSA3032X
 from analyzer_sim.scpi.errors import ScpiError
 from analyzer_sim.scpi.parameters import DECIBELS, PURE, Choice, Numeric, TraceName
@@ -53,12 +18,12 @@ _DETECTORS = {
     "NEGative": "NEG",
     "POSitive": "POS",
     "SAMPle": "SAMP",
-    "AVERage": BY_TYPE,
+    "AVERage": sweeps.BY_TYPE,
     "NORMal": "APE",
     "QUASi": "QPE",
 }
 #: filters for interference are told by their width at 6 dB
-_FILTER_TYPES = {"GAUSS": 1.0, "EMI": DB6_RATIO}
+_FILTER_TYPES = {"GAUSS": 1.0, "EMI": sweeps.DB6_RATIO}
 _AVERAGE_TYPES = {"LOGPower": "VID", "POWer": "POW", "VOLTage": "LIN"}
 _UNITS = ("DBM", "DBMV", "DBUV", "DBUA", "V", "W")
 _TRACE_NAME = TraceName(("TRC", "TRACE", "TRAC"), 4)
@@ -88,7 +53,7 @@ def _sweep_if_stale(call: Call) -> None:
     try:
         call.instrument.trace()
     except ScpiError:
-        start_sweep(call)
+        rows.start_sweep(call)
 
 
 def _widen_to_span(call: Call) -> None:
@@ -101,49 +66,49 @@ def _select_measurement(call: Call, name: str) -> None:
 
 
 _FREQUENCY_ROWS = (
-    *frequency_rows(f"{_SENSE}:FREQuency", "CENTer:STEP[:INCRement]"),
-    step_auto_row(f"{_SENSE}:FREQuency:CENTer:STEP:AUTO"),
-    previous_span_row(f"{_SENSE}:FREQuency:SPAN:PREVious"),
-    scaled_span_row(f"{_SENSE}:FREQuency:SPAN:HALF", 0.5),
-    scaled_span_row(f"{_SENSE}:FREQuency:SPAN:DOUBle", 2.0),
-    zero_span_row(f"{_SENSE}:FREQuency:SPAN:ZERO"),
+    *rows.frequency_rows(f"{_SENSE}:FREQuency", "CENTer:STEP[:INCRement]"),
+    rows.step_auto_row(f"{_SENSE}:FREQuency:CENTer:STEP:AUTO"),
+    rows.previous_span_row(f"{_SENSE}:FREQuency:SPAN:PREVious"),
+    rows.scaled_span_row(f"{_SENSE}:FREQuency:SPAN:HALF", 0.5),
+    rows.scaled_span_row(f"{_SENSE}:FREQuency:SPAN:DOUBle", 2.0),
+    rows.zero_span_row(f"{_SENSE}:FREQuency:SPAN:ZERO"),
 )
 
 _BANDWIDTH_ROWS = (
-    *bandwidth_rows(_BANDWIDTH),
-    filter_type_row(f"{_SENSE}:FILTer:TYPE", _FILTER_TYPES),
+    *rows.bandwidth_rows(_BANDWIDTH),
+    sweeps.filter_type_row(f"{_SENSE}:FILTer:TYPE", _FILTER_TYPES),
 )
 
 _SWEEP_ROWS = (
-    numeric(f"{_SENSE}:SWEep:POINts", "points"),
-    *sweep_time_rows(f"{_SENSE}:SWEep"),
-    choice(f"{_SENSE}:SWEep:MODE", "sweep_type", ("AUTO", "FFT", "SWEep")),
-    inert(f"{_SENSE}:SWEep:SPEed", "NORM", ("NORMal", "ACCUracy")),
-    numeric(f"{_SENSE}:SWEep:COUNt", "count"),
-    *detector_rows(
+    rows.numeric(f"{_SENSE}:SWEep:POINts", "points"),
+    *rows.sweep_time_rows(f"{_SENSE}:SWEep"),
+    rows.choice(f"{_SENSE}:SWEep:MODE", "sweep_type", ("AUTO", "FFT", "SWEep")),
+    rows.inert(f"{_SENSE}:SWEep:SPEed", "NORM", ("NORMal", "ACCUracy")),
+    rows.numeric(f"{_SENSE}:SWEep:COUNt", "count"),
+    *sweeps.detector_rows(
         f"{_SENSE}:DETector[:TRACe<4>][:FUNCtion]", f"{_SENSE}:DETector[:TRACe<4>][:FUNCtion]:AUTO", _DETECTORS
     ),
-    numeric(f"{_SENSE}:AVERage[:TRACe<4>]:COUNt", "average_count"),
+    rows.numeric(f"{_SENSE}:AVERage[:TRACe<4>]:COUNt", "average_count"),
     Command(f"{_SENSE}:AVERage[:TRACe<4>]:CLEar", _clear_average),
-    average_type_row(f"{_SENSE}:AVERage:TYPE", _AVERAGE_TYPES, does_detector_follow=True),
-    trace_mode_row("TRACe<4>:MODE", "WRITe"),
-    initiate_row("INITiate[:IMMediate]"),
-    continuous_row("INITiate:CONTinuous"),
-    inert("TRIGger[:SEQuence]:SOURce", "IMM", ("IMMediate",)),
+    sweeps.average_type_row(f"{_SENSE}:AVERage:TYPE", _AVERAGE_TYPES, does_detector_follow=True),
+    sweeps.trace_mode_row("TRACe<4>:MODE", "WRITe"),
+    sweeps.initiate_row("INITiate[:IMMediate]"),
+    sweeps.continuous_row("INITiate:CONTinuous"),
+    rows.inert("TRIGger[:SEQuence]:SOURce", "IMM", ("IMMediate",)),
     Command("TRACe:SWEep:STATe", query=_is_swept, query_parameters=(Numeric(PURE),)),
 )
 
 _LEVEL_ROWS = (
-    *level_rows(_TRACE_Y, f"{_POWER}:ATTenuation", f"{_POWER}:GAIN[:STATe]"),
-    inert_number(f"{_TRACE_Y}:PDIVision", 10.0, 1.0, 10.0, DECIBELS),
-    inert(f"{_TRACE_Y}:SPACing", "LOG", ("LOGarithmic", "LINear")),
-    constant(f"{_SENSE}:CORRection:IMPedance", "OHM50"),
-    unit_row("UNIT:POWer", _UNITS),
+    *rows.level_rows(_TRACE_Y, f"{_POWER}:ATTenuation", f"{_POWER}:GAIN[:STATe]"),
+    rows.inert_number(f"{_TRACE_Y}:PDIVision", 10.0, 1.0, 10.0, DECIBELS),
+    rows.inert(f"{_TRACE_Y}:SPACing", "LOG", ("LOGarithmic", "LINear")),
+    rows.constant(f"{_SENSE}:CORRection:IMPedance", "OHM50"),
+    sweeps.unit_row("UNIT:POWer", _UNITS),
 )
 
 _TRACE_ROWS = (
-    format_row("FORMat[:TRACe][:DATA]", TRACE_STYLE),
-    trace_row("TRACe<4>[:DATA]", TRACE_STYLE, _TRACE_NAME),
+    rows.format_row("FORMat[:TRACe][:DATA]", TRACE_STYLE),
+    rows.trace_row("TRACe<4>[:DATA]", TRACE_STYLE, _TRACE_NAME),
 )
 
 _CHANNEL_POWER_ROWS = (
@@ -153,18 +118,18 @@ _CHANNEL_POWER_ROWS = (
         lambda call: "CHP" if call.instrument.channel.is_selected else "OFF",
         (Choice(("OFF", "CHPower")),),
     ),
-    channel_row(f"{_SENSE}:CHPower:BWIDth|BANDwidth:INTegration", "width_hz", SSA3032X.channel_width_hz),
+    rows.channel_row(f"{_SENSE}:CHPower:BWIDth|BANDwidth:INTegration", "width_hz", SSA3032X.channel_width_hz),
     Command(f"{_SENSE}:CHPower:FREQuency:SPAN:POWer", _widen_to_span),
-    *channel_power_rows(
-        "MEASure:CHPower", lambda call, which: results_text(channel_power(call)[which]), _sweep_if_stale
+    *rows.channel_power_rows(
+        "MEASure:CHPower", lambda call, which: rows.results_text(rows.channel_power(call)[which]), _sweep_if_stale
     ),
 )
 
 _MISCELLANEOUS_ROWS = (
-    constant("*IDN", IDENTITY),
-    constant("*OPT", "0"),
-    application_row("INSTrument[:SELect]", "SA", frozenset({"SA"})),
-    *LOCAL_ROWS,
+    rows.constant("*IDN", IDENTITY),
+    rows.constant("*OPT", "0"),
+    sweeps.application_row("INSTrument[:SELect]", "SA", frozenset({"SA"})),
+    *sweeps.LOCAL_ROWS,
 )
 
 SIGLENT = Dialect(
@@ -178,8 +143,8 @@ SIGLENT = Dialect(
     traces=TRACE_STYLE,
     units=_UNITS,
     commands=(
-        *COMMON_COMMANDS,
-        *SYSTEM_COMMANDS,
+        *sweeps.COMMON_COMMANDS,
+        *sweeps.SYSTEM_COMMANDS,
         *_FREQUENCY_ROWS,
         *_BANDWIDTH_ROWS,
         *_SWEEP_ROWS,

@@ -19,10 +19,10 @@ from operator import or_
 
 from analyzer_sim.emission import Emission, EmissionSource, EndOfScenario
 from analyzer_sim.instrument.channel_power import ChannelSettings, own_sweep_settings
+from analyzer_sim.instrument.imperfections import TraceFaults
 from analyzer_sim.instrument.instrument_settings import FSW_26, AnalyzerModel, Settings, reset_state
 from analyzer_sim.instrument.painter import Trace, TracePainter
 from analyzer_sim.instrument.sweep_progress import OPERATION_BITS, Pace, SweepProgress, SweepState
-from analyzer_sim.instrument.trace_faults import TraceFaults
 from analyzer_sim.instrument.truth_log import Reading, TruthLog
 from analyzer_sim.scpi.errors import ScpiError
 from analyzer_sim.scpi.status import ESR_OPERATION_COMPLETE, StatusModel

@@ -17,19 +17,9 @@ from scipy.signal import lfilter
 from scipy.special import digamma, gammainccinv, gammaincinv, polygamma
 
 from analyzer_sim.emission import Emission
+from analyzer_sim.instrument import spectrum
 from analyzer_sim.instrument.imperfections import Imperfections, LevelErrors
 from analyzer_sim.instrument.instrument_settings import Settings
-from analyzer_sim.instrument.spectrum import (
-    ENBW_PER_RBW,
-    RBW_PER_DEVIATION,
-    VIDEO_MATTERS_BELOW,
-    MeanTrace,
-    SweepGrid,
-    filter_response,
-    mean_trace,
-    milliwatts,
-    too_fast_line_loss,
-)
 from analyzer_sim.streams import FloatArray, stream
 
 IntArray = NDArray[np.int64]
@@ -60,7 +50,7 @@ class Dwell(NamedTuple):
     @property
     def enbw_hz(self) -> float:
         """Noise bandwidth of the resolution filter."""
-        return ENBW_PER_RBW * self.rbw_hz
+        return spectrum.ENBW_PER_RBW * self.rbw_hz
 
 
 def dwell_variance(enbw_hz: float, time_s: float) -> float:
@@ -85,9 +75,9 @@ def video_variance(rbw_hz: float, vbw_hz: float) -> float:
     >>> video_variance(30e3, math.inf), round(1 / video_variance(30e3, 300.0), 1)
     (1.0, 48.6)
     """
-    if vbw_hz >= VIDEO_MATTERS_BELOW * rbw_hz:
+    if vbw_hz >= spectrum.VIDEO_MATTERS_BELOW * rbw_hz:
         return 1.0
-    ratio = 0.5 * vbw_hz * RBW_PER_DEVIATION / rbw_hz
+    ratio = 0.5 * vbw_hz * spectrum.RBW_PER_DEVIATION / rbw_hz
     return math.sqrt(math.pi) * ratio * math.exp(ratio**2) * math.erfc(ratio)
 
 
@@ -96,7 +86,7 @@ def correlation_kernel(dwell: Dwell) -> tuple[float, FloatArray]:
     """Return the shape parameter of the independent draws and the smoothing kernel of odd length and unit sum."""
     reach = np.arange(_MAX_KERNEL_REACH + 1)
     if dwell.is_fft:
-        deviation_hz = dwell.rbw_hz / RBW_PER_DEVIATION
+        deviation_hz = dwell.rbw_hz / spectrum.RBW_PER_DEVIATION
         covariance = dwell_variance(dwell.enbw_hz, dwell.time_s) * np.exp(
             -np.square(reach * dwell.spacing_hz / (2.0 * deviation_hz))
         )
@@ -118,7 +108,7 @@ def _factor(covariance: FloatArray) -> tuple[float, FloatArray]:
     return 1.0 / variance, kernel / kernel.sum()
 
 
-def draw_rms(mean: MeanTrace, dwell: Dwell, rng: np.random.Generator, sweeps: int = 1) -> FloatArray:
+def draw_rms(mean: spectrum.MeanTrace, dwell: Dwell, rng: np.random.Generator, sweeps: int = 1) -> FloatArray:
     """Return the mean of some traces of the RMS detector, mW, shape (B,); Gamma draws add up exactly."""
     points = len(mean.noise_mw)
     single_shape, kernel = correlation_kernel(dwell)
@@ -131,7 +121,9 @@ def draw_rms(mean: MeanTrace, dwell: Dwell, rng: np.random.Generator, sweeps: in
     return trace
 
 
-def _put_lines(trace: FloatArray, mean: MeanTrace, dwell: Dwell, rng: np.random.Generator, sweeps: int) -> None:
+def _put_lines(
+    trace: FloatArray, mean: spectrum.MeanTrace, dwell: Dwell, rng: np.random.Generator, sweeps: int
+) -> None:
     """Replace the points near lines by non-central draws: mean n + L, variance n^2 / N(t) + 2 n L / N(t / sqrt 2).
 
     The beat of line and noise is correlated for sqrt(2) times as long as the noise power.
@@ -156,21 +148,21 @@ def _values_of_dwell(dwell: Dwell) -> float:
     return math.sqrt(2.0) * dwell.enbw_hz * dwell.time_s / _video_freedom(dwell)
 
 
-def _draw_sample(mean: MeanTrace, dwell: Dwell, rng: np.random.Generator) -> FloatArray:
+def _draw_sample(mean: spectrum.MeanTrace, dwell: Dwell, rng: np.random.Generator) -> FloatArray:
     """Return one value at every point; non-central near lines."""
     freedom = _video_freedom(dwell)
     ratio = np.minimum(mean.lines_mw.sum(axis=0) / mean.noise_mw, 1e12)
     return np.asarray(mean.noise_mw * rng.noncentral_chisquare(2.0 * freedom, 2.0 * freedom * ratio) / (2.0 * freedom))
 
 
-def _draw_peak(mean: MeanTrace, dwell: Dwell, rng: np.random.Generator) -> FloatArray:
+def _draw_peak(mean: spectrum.MeanTrace, dwell: Dwell, rng: np.random.Generator) -> FloatArray:
     count = 1.0 + _PEAKS_PER_FREEDOM * _values_of_dwell(dwell)
     above = -np.expm1(np.log(rng.random(len(mean.noise_mw))) / count)
     freedom = _video_freedom(dwell)
     return _line_skirts(mean, np.asarray(gammainccinv(freedom, above) / freedom, np.float64), +1.0)
 
 
-def _draw_minimum(mean: MeanTrace, dwell: Dwell, rng: np.random.Generator) -> FloatArray:
+def _draw_minimum(mean: spectrum.MeanTrace, dwell: Dwell, rng: np.random.Generator) -> FloatArray:
     count = 1.0 + _NULLS_PER_FREEDOM * _values_of_dwell(dwell)
     below = -np.expm1(np.log(rng.random(len(mean.noise_mw))) / count)
     freedom = _video_freedom(dwell)
@@ -178,7 +170,7 @@ def _draw_minimum(mean: MeanTrace, dwell: Dwell, rng: np.random.Generator) -> Fl
     return _line_skirts(mean, np.asarray(gammaincinv(freedom, below) / freedom, np.float64), -1.0)
 
 
-def _line_skirts(mean: MeanTrace, relative: FloatArray, sign: float) -> FloatArray:
+def _line_skirts(mean: spectrum.MeanTrace, relative: FloatArray, sign: float) -> FloatArray:
     """Add the amplitude of lines to that of the noise, in phase for a peak, in opposition for a minimum."""
     noise = np.sqrt(mean.noise_mw * relative)
     return np.asarray(np.square(np.sqrt(mean.lines_mw.sum(axis=0)) + sign * noise))
@@ -189,7 +181,7 @@ def _values_averaged(dwell: Dwell) -> float:
     return max(1.0 / (dwell_variance(dwell.enbw_hz, dwell.time_s) * _video_freedom(dwell)), 1.0)
 
 
-def _draw_log_mean(mean: MeanTrace, dwell: Dwell, rng: np.random.Generator) -> FloatArray:
+def _draw_log_mean(mean: spectrum.MeanTrace, dwell: Dwell, rng: np.random.Generator) -> FloatArray:
     """Average nepers: their mean is the digamma function of the freedom less its logarithm."""
     freedom = _video_freedom(dwell)
     nepers = float(digamma(freedom)) - math.log(freedom)
@@ -198,7 +190,7 @@ def _draw_log_mean(mean: MeanTrace, dwell: Dwell, rng: np.random.Generator) -> F
     return np.asarray(mean.noise_mw * relative + mean.lines_mw.sum(axis=0))
 
 
-def _draw_volt_mean(mean: MeanTrace, dwell: Dwell, rng: np.random.Generator) -> FloatArray:
+def _draw_volt_mean(mean: spectrum.MeanTrace, dwell: Dwell, rng: np.random.Generator) -> FloatArray:
     """Average volts: the root of a Gamma variable."""
     freedom = _video_freedom(dwell)
     power = math.exp(2.0 * (math.lgamma(freedom + 0.5) - math.lgamma(freedom))) / freedom
@@ -208,7 +200,7 @@ def _draw_volt_mean(mean: MeanTrace, dwell: Dwell, rng: np.random.Generator) -> 
 
 
 #: detector -> draw of one trace
-FAST_DRAWS: dict[str, Callable[[MeanTrace, Dwell, np.random.Generator], FloatArray]] = {
+FAST_DRAWS: dict[str, Callable[[spectrum.MeanTrace, Dwell, np.random.Generator], FloatArray]] = {
     "RMS": draw_rms,
     "SAMP": _draw_sample,
     "POS": _draw_peak,
@@ -228,14 +220,14 @@ MAX_SAMPLES_ALL_SWEEPS = 10 * MAX_SAMPLES
 _SETTLED_AFTER = 8.0
 
 
-def sample_count(grid: SweepGrid, time_s: float) -> int:
+def sample_count(grid: spectrum.SweepGrid, time_s: float) -> int:
     """Return the samples one sweep takes: never fewer than one a point."""
     return max(math.ceil(SAMPLES_PER_RBW_SECOND * grid.rbw_hz * time_s), grid.points)
 
 
 def draw_envelope(
-    mean: MeanTrace,
-    grid: SweepGrid,
+    mean: spectrum.MeanTrace,
+    grid: spectrum.SweepGrid,
     time_s: float,
     detector: str,
     vbw_hz: float,
@@ -249,11 +241,11 @@ def draw_envelope(
     field = np.sqrt(noise_mw) * _filtered_noise(count, grid.rbw_hz * time_s / count, rng)
     swept_hz = grid.start_hz + position * grid.spacing_hz
     for line_hz, peak_mw in zip(mean.line_hz.tolist(), mean.line_peak_mw.tolist(), strict=True):
-        amplitude = np.sqrt(peak_mw * filter_response(swept_hz - line_hz, grid.rbw_hz))
+        amplitude = np.sqrt(peak_mw * spectrum.filter_response(swept_hz - line_hz, grid.rbw_hz))
         turns = rng.random() + ((line_hz - swept_hz[0]) - 0.5 * (swept_hz - swept_hz[0])) * seconds
         field += amplitude * np.exp(2j * math.pi * turns)
     power_mw = np.square(field.real) + np.square(field.imag)
-    if detector != "RMS" and vbw_hz < VIDEO_MATTERS_BELOW * grid.rbw_hz:
+    if detector != "RMS" and vbw_hz < spectrum.VIDEO_MATTERS_BELOW * grid.rbw_hz:
         power_mw = _video_filtered(power_mw, vbw_hz * time_s / count)
     starts = (np.arange(grid.points) * count) // grid.points
     return BUCKET_DETECTORS[detector](power_mw, starts)
@@ -268,7 +260,7 @@ def _fast_length(count: int) -> int:
 def _filtered_noise(count: int, rbw_per_rate: float, rng: np.random.Generator) -> NDArray[np.complex128]:
     """Return unit-power complex Gaussian noise seen through the resolution filter, shape (count,)."""
     length = _fast_length(count)
-    weight = np.exp(-np.square(np.fft.fftfreq(length) * (RBW_PER_DEVIATION / rbw_per_rate)) / 4.0)
+    weight = np.exp(-np.square(np.fft.fftfreq(length) * (spectrum.RBW_PER_DEVIATION / rbw_per_rate)) / 4.0)
     weight *= length / math.sqrt(2.0 * float(np.square(weight).sum()))
     drawn = rng.standard_normal((2, length))
     return np.fft.ifft((drawn[0] + 1j * drawn[1]) * weight)[:count]
@@ -353,7 +345,7 @@ class Trace(NamedTuple):
     overload: int
     epoch_us: int
     #: where it was taken and with which filter
-    grid: SweepGrid
+    grid: spectrum.SweepGrid
 
 
 class TracePainter:
@@ -377,21 +369,23 @@ class TracePainter:
 
     def paint(self, emission: Emission, settings: Settings) -> Trace:
         """Return the trace of one measurement; ``settings.sweeps`` sweeps are combined."""
-        grid = SweepGrid(settings.start_hz, settings.stop_hz, settings.points, settings.rbw_hz)
+        grid = spectrum.SweepGrid(settings.start_hz, settings.stop_hz, settings.points, settings.rbw_hz)
         attenuation_db = settings.attenuation_db
         own_noise = self._errors.own_noise_dbm_hz(attenuation_db, is_preamplifier_on=settings.is_preamplifier_on)
-        loss = 1.0 if settings.is_fft else too_fast_line_loss(settings.span_hz, settings.rbw_hz, settings.time_s)
-        mean = mean_trace(emission, grid, own_noise, loss)
+        loss = (
+            1.0 if settings.is_fft else spectrum.too_fast_line_loss(settings.span_hz, settings.rbw_hz, settings.time_s)
+        )
+        mean = spectrum.mean_trace(emission, grid, own_noise, loss)
         power_mw = self._statistics(mean, grid, settings)
         overload = Overload.of(emission, settings)
         error_db = self._errors.sweep_error_db(emission.epoch_us, settings.rbw_hz, attenuation_db)
-        power_mw *= self._ripple_gain(grid) * milliwatts(error_db - overload.compression_db)
+        power_mw *= self._ripple_gain(grid) * spectrum.milliwatts(error_db - overload.compression_db)
         level_dbm = 10.0 * np.log10(np.maximum(power_mw, _LEAST_MW))
         np.minimum(level_dbm, settings.reference_dbm + HEADROOM_DB, out=level_dbm)
         level_dbm += settings.level_offset_db
         return Trace(level_dbm, overload.bits, emission.epoch_us, grid)
 
-    def _statistics(self, mean: MeanTrace, grid: SweepGrid, settings: Settings) -> FloatArray:
+    def _statistics(self, mean: spectrum.MeanTrace, grid: spectrum.SweepGrid, settings: Settings) -> FloatArray:
         """Draw the sweeps of one measurement and combine them, mW."""
         dwell = _dwell(grid, settings)
         if self._wants_envelope(grid, settings):
@@ -401,14 +395,14 @@ class TracePainter:
             return draw_rms(mean, dwell, self._rng, settings.sweeps)
         return _combined(partial(FAST_DRAWS[settings.detector], mean, dwell, self._rng), settings)
 
-    def _wants_envelope(self, grid: SweepGrid, settings: Settings) -> bool:
+    def _wants_envelope(self, grid: spectrum.SweepGrid, settings: Settings) -> bool:
         """Tell whether statistics are drawn in time: wanted or needed, and not beyond the longest envelope."""
         samples = sample_count(grid, settings.time_s)
         if settings.is_fft or samples > MAX_SAMPLES or samples * settings.sweeps > MAX_SAMPLES_ALL_SWEEPS:
             return False
         return self._detail is Detail.ENVELOPE or settings.detector != "RMS"
 
-    def _compute_ripple_gain(self, grid: SweepGrid) -> FloatArray:
+    def _compute_ripple_gain(self, grid: spectrum.SweepGrid) -> FloatArray:
         return np.asarray(10.0 ** (0.1 * self._errors.ripple_db(grid.frequency_hz)))
 
 
@@ -425,7 +419,7 @@ def _combined(draw: Callable[[], FloatArray], settings: Settings) -> FloatArray:
     return from_scale(total / settings.sweeps)
 
 
-def _dwell(grid: SweepGrid, settings: Settings) -> Dwell:
+def _dwell(grid: spectrum.SweepGrid, settings: Settings) -> Dwell:
     dwell_s = settings.time_s if settings.is_fft else settings.time_s / grid.points
     return Dwell(grid.rbw_hz, dwell_s, grid.spacing_hz, settings.is_fft, settings.vbw_hz)
 
@@ -444,7 +438,7 @@ class Overload(NamedTuple):
 
         A mixer driven beyond its limit passes that power and no more, so that all levels fall together.
         """
-        total_mw = sum(milliwatts(signal.power_dbm) for signal in emission.signals)
+        total_mw = sum(spectrum.milliwatts(signal.power_dbm) for signal in emission.signals)
         total_dbm = 10.0 * math.log10(max(total_mw, _LEAST_MW))
         excess_db = max(total_dbm - settings.attenuation_db - MIXER_OVERLOAD_DBM, 0.0)
         bits = RF_OVERLOAD if excess_db > 0.0 else 0

@@ -8,15 +8,7 @@ from typing import Any, NamedTuple
 
 from analyzer_sim.emission import Emission, Signal
 from analyzer_sim.epochs import US_PER_S, rfc3339
-from analyzer_sim.plant.plant import (
-    Plant,
-    PlantOptions,
-    Schedule,
-    ScheduleError,
-    parse_schedule,
-    report_line,
-    telemetry_of,
-)
+from analyzer_sim.plant import plant
 from analyzer_sim.world.ground.ground import truth_row
 from analyzer_sim.world.scenario.story import Scenario
 from analyzer_sim.world.world import World
@@ -117,7 +109,7 @@ Listener = Callable[[int, list[Line]], None]
 
 #: schedules that may be sent from one row: more than anybody needs, few enough to keep the store small
 SCHEDULES_A_ROW = 100
-_NOTHING = Schedule(())
+_NOTHING = plant.Schedule(())
 
 
 class FlownWorld:
@@ -140,10 +132,10 @@ class FlownWorld:
         OrbitalFrameSpacecraft and channel.
     """
 
-    def __init__(self, scenario: Scenario, seed: int, options: PlantOptions) -> None:
+    def __init__(self, scenario: Scenario, seed: int, options: plant.PlantOptions) -> None:
         self.options = options
         # the instrument has noise of its own
-        self._plant = Plant(scenario, seed, 0.0, options)
+        self._plant = plant.Plant(scenario, seed, 0.0, options)
         self.world: World = self._plant.world
         self._attitude_deg = self.world.rows.attitude_deg.copy()
         self._attitude_deg[self._plant.row] = self._plant.state.attitude_deg
@@ -189,10 +181,10 @@ class FlownWorld:
         """
         if self.epoch_us is None:
             start = rfc3339(self.world.scenario.operation_start_us)
-            raise ScheduleError(f"the spacecraft is under its sensors until {start} has been measured")
-        schedule = parse_schedule(text, self.epoch_us)
+            raise plant.ScheduleError(f"the spacecraft is under its sensors until {start} has been measured")
+        schedule = plant.parse_schedule(text, self.epoch_us)
         if self._sent_from_row >= SCHEDULES_A_ROW:
-            raise ScheduleError(f"more than {SCHEDULES_A_ROW} schedules from one row")
+            raise plant.ScheduleError(f"more than {SCHEDULES_A_ROW} schedules from one row")
         self._sent_from_row += 1
         return self._plant.send(schedule)
 
@@ -214,7 +206,7 @@ class FlownWorld:
         """Yield what the ground is told once rows of operation have been flown: telemetry, and truth for the judge."""
         start_us, stop_us = (int(self.world.rows.epochs_us[row]) for row in (first, last))
         if any(start_us <= record.reported_us <= stop_us for record in self.world.telemetry):
-            yield {"kind": "telemetry", "body": {"records": [telemetry_of(self._plant)]}}
+            yield {"kind": "telemetry", "body": {"records": [plant.telemetry_of(self._plant)]}}
         rows = [truth_row(self.world, row, self._attitude_deg[row]) for row in range(first, last + 1)]
         yield {"kind": "truth", "rows": rows}
 
@@ -229,7 +221,7 @@ class FlownWorld:
             self._plant.flown.response = (factor * roll, factor * pitch, factor * yaw)
             self._plant.advance(_NOTHING)
             self._attitude_deg[self._plant.row] = self._plant.state.attitude_deg
-            self._report([report_line(report) for report in self._plant.reports])
+            self._report([plant.report_line(report) for report in self._plant.reports])
         if self._plant.row == self._plant.first_row:
             self._report([])
         self._sent_from_row = 0

@@ -37,33 +37,18 @@ import numpy as np
 from analyzer_sim.epochs import US_PER_S, epoch_us_from_text, rfc3339
 from analyzer_sim.export import measured_dbm, sweep_noise_db
 from analyzer_sim.streams import FloatArray, stream
-from analyzer_sim.world.ground.ground import catalogue_lines, chunks_of, flown_lines, reported_lines, truth_row
-from analyzer_sim.world.ground.ground_bodies import TORQUE_LIMIT_N_M
+from analyzer_sim.world.ground.ground import (
+    TORQUE_LIMIT_N_M,
+    catalogue_lines,
+    chunks_of,
+    flown_lines,
+    reported_lines,
+    truth_row,
+)
 from analyzer_sim.world.orbit import EARTH_RATE_RAD_S
 from analyzer_sim.world.scenario.story import Scenario
-from analyzer_sim.world.spacecraft.body import (
-    INERTIA_KG_M2,
-    QUANTUM_N_M,
-    BodyState,
-    OrbitalFrameSpacecraft,
-    RigidBody,
-    TorqueElement,
-    Triple,
-    Vector,
-    rotor_speed_rpm,
-    spacecraft_at_rest,
-    wheel_set,
-)
+from analyzer_sim.world.spacecraft import body, telemetry
 from analyzer_sim.world.spacecraft.hub_tones import HubTone
-from analyzer_sim.world.spacecraft.telemetry import (
-    PERIOD_H,
-    TelemetryRecord,
-    disturbance,
-    fed_forward,
-    unloaded,
-    unloadings_us,
-    with_errors,
-)
 from analyzer_sim.world.spacecraft.uplink import (
     UPLINKS,
     Angles,
@@ -93,7 +78,7 @@ class ScheduleError(ValueError):
 class Schedule(NamedTuple):
     """Torque schedule of one line of the uplink protocol."""
 
-    elements: tuple[TorqueElement, ...]
+    elements: tuple[body.TorqueElement, ...]
     #: None = the plant counts
     counter: int | None = None
     #: for the loop on board
@@ -146,7 +131,7 @@ def _counter(value: object) -> int:
     return int(value)
 
 
-def _element(number: int, item: object, not_before_us: int) -> TorqueElement:
+def _element(number: int, item: object, not_before_us: int) -> body.TorqueElement:
     if not isinstance(item, dict) or set(item) != _FIELDS:
         raise ScheduleError(f"element {number}: the fields are {', '.join(sorted(_FIELDS))}")
     duration_s = _number(number, item, "duration_s")
@@ -158,7 +143,7 @@ def _element(number: int, item: object, not_before_us: int) -> TorqueElement:
     yaw, roll, pitch = (_number(number, item, f"{axis}_n_m") for axis in ("yaw", "roll", "pitch"))
     if max(abs(yaw), abs(roll), abs(pitch)) > TORQUE_LIMIT_N_M:
         raise ScheduleError(f"element {number}: a torque exceeds {TORQUE_LIMIT_N_M:g} N m")
-    return TorqueElement(start_us, start_us + round(duration_s * US_PER_S), (yaw, roll, pitch))
+    return body.TorqueElement(start_us, start_us + round(duration_s * US_PER_S), (yaw, roll, pitch))
 
 
 def _number(number: int, item: dict[str, object], name: str) -> float:
@@ -184,7 +169,7 @@ class PlantOptions:
     #: "wheels": the loop on board is flown; "perfect": it is taken as perfect and the body is integrated exactly
     onboard: str = "wheels"
     #: what a commanded torque does about roll, pitch, yaw: 1 = what it says, -1 = the opposite, 0 = nothing
-    response: Vector = (1.0, 1.0, 1.0)
+    response: body.Vector = (1.0, 1.0, 1.0)
     tones: tuple[HubTone, ...] = ()
     #: the loop on board takes angles in place of torques, none older than this, s; None = it takes torques
     age_limit_s: float | None = None
@@ -229,18 +214,18 @@ class Plant:
         self._noise_db = sweep_noise_db(self.world, sweep_noise)
         self.open_dbm = measured_dbm(self.world, sweep_noise)[: self.first_row]
         self._attitude_deg = self.world.rows.attitude_deg.copy()
-        self._disturbance = disturbance(scenario, seed, self._epochs_us[self.first_row :])
+        self._disturbance = telemetry.disturbance(scenario, seed, self._epochs_us[self.first_row :])
         self.reports: list[Report] = []
         is_perfect = options.onboard == "perfect"
         self.uplink = Uplink(UPLINKS[options.uplink].within(scenario.keeping.slowest_uplink_s), seed)
-        self._store = CommandStore(0.0 if is_perfect else QUANTUM_N_M)
-        self._acting: list[TorqueElement] = []
+        self._store = CommandStore(0.0 if is_perfect else body.QUANTUM_N_M)
+        self._acting: list[body.TorqueElement] = []
         self._counter = 0
-        self.flown: OrbitalFrameSpacecraft = self._spacecraft(options)
-        roll, pitch, yaw = INERTIA_KG_M2
+        self.flown: body.OrbitalFrameSpacecraft = self._spacecraft(options)
+        roll, pitch, yaw = body.INERTIA_KG_M2
         coupling = EARTH_RATE_RAD_S if scenario.keeping.is_coupled else 0.0
-        self._perfect = RigidBody((yaw, roll, pitch), coupling) if is_perfect else None
-        self.state: BodyState = self.flown.state
+        self._perfect = body.RigidBody((yaw, roll, pitch), coupling) if is_perfect else None
+        self.state: body.BodyState = self.flown.state
         limit_s = options.age_limit_s
         self.loop = None if limit_s is None else AnglesLoop((yaw, roll, pitch), coupling, limit_s)
 
@@ -260,7 +245,7 @@ class Plant:
         return not self.world.rows.is_gap[self.row]
 
     @property
-    def momentum_n_m_s(self) -> Vector:
+    def momentum_n_m_s(self) -> body.Vector:
         """Momentum of the wheels along roll, pitch, yaw."""
         roll, pitch, yaw = (wheel.momentum_n_m_s for wheel in self.flown.wheels)
         return roll, pitch, yaw
@@ -316,7 +301,7 @@ class Plant:
             self.reports += [] if report is None else [report]
         self._acting = self._store.acting(begin_us)
 
-    def _given_deg_s(self) -> Triple:
+    def _given_deg_s(self) -> body.Triple:
         """Return the rate that torques have given as the inertial model has it: without what it does not see."""
         if self._perfect is not None:
             return self.state.rate_deg_s
@@ -337,29 +322,31 @@ class Plant:
     def _unload(self, begin_us: int, end_us: int) -> None:
         """Let thrusters take away what the wheels hold beyond their bias, where the story says so for a span."""
         figures = self.world.scenario.wheels
-        before, after = np.searchsorted(unloadings_us(self.world.scenario), [begin_us, end_us], side="right").tolist()
+        before, after = np.searchsorted(
+            telemetry.unloadings_us(self.world.scenario), [begin_us, end_us], side="right"
+        ).tolist()
         if figures is None or before == after:
             return
-        left = unloaded(figures, self.world.seed, after).tolist()
+        left = telemetry.unloaded(figures, self.world.seed, after).tolist()
         for wheel, momentum in zip(self.flown.wheels, left, strict=True):
             wheel.momentum_n_m_s = momentum
 
-    def _spacecraft(self, options: PlantOptions) -> OrbitalFrameSpacecraft:
+    def _spacecraft(self, options: PlantOptions) -> body.OrbitalFrameSpacecraft:
         """Return the spacecraft as it stands when operation begins."""
         keeping, seed = self.world.scenario.keeping, self.world.seed
-        wheels = wheel_set(seed, self.reported_telemetry().wheel_momentum_n_m_s or (0.0, 0.0, 0.0))
+        wheels = body.wheel_set(seed, self.reported_telemetry().wheel_momentum_n_m_s or (0.0, 0.0, 0.0))
         attitude_deg = _triple(self._attitude_deg[self.first_row])
-        flown = spacecraft_at_rest(INERTIA_KG_M2, attitude_deg, wheels, is_coupled=keeping.is_coupled)
+        flown = body.spacecraft_at_rest(body.INERTIA_KG_M2, attitude_deg, wheels, is_coupled=keeping.is_coupled)
         flown.response, flown.tones = options.response, options.tones
         return flown
 
-    def reported_telemetry(self) -> TelemetryRecord:
+    def reported_telemetry(self) -> telemetry.TelemetryRecord:
         """Return the story's newest record of the wheels at the present row."""
         reported = (one for one in self.world.telemetry if one.wheel_momentum_n_m_s is not None)
         return [record for record in reported if record.reported_us <= self.epoch_us][-1]
 
 
-def _triple(values: FloatArray) -> Triple:
+def _triple(values: FloatArray) -> body.Triple:
     first, second, third = (float(value) for value in values)
     return first, second, third
 
@@ -411,7 +398,7 @@ def fed_forward_line(world: World) -> Line | None:
     """Return the profile that the loop on board feeds forward, as the catalogue states one; None = it is not known."""
     if not world.scenario.is_torque_stated:
         return None
-    reported = fed_forward(world.scenario, world.seed)
+    reported = telemetry.fed_forward(world.scenario, world.seed)
     parts = {"constant_n_m": reported.constant_n_m, "cosine_n_m": reported.cosine_n_m, "sine_n_m": reported.sine_n_m}
     torques = {name: dict(zip(_AXES, part.tolist(), strict=True)) for name, part in parts.items()}
     return {"epoch": rfc3339(reported.epoch_us), "period_s": reported.period_s, **torques}
@@ -447,15 +434,15 @@ def _momentum_of(plant: Plant) -> Line:
     momentum, reported, figures = plant.momentum_n_m_s, plant.reported_telemetry(), plant.world.scenario.wheels
     is_active = reported.thrusters_active
     if figures is None:
-        is_active = is_active and plant.epoch_us - reported.reported_us < PERIOD_H * _US_PER_H // 2
+        is_active = is_active and plant.epoch_us - reported.reported_us < telemetry.PERIOD_H * _US_PER_H // 2
     elif reported.reported_us != plant.epoch_us:
         return {}
     else:
         noise = stream(plant.world.seed, "wheel noise", str(plant.row)).normal(size=3)
-        momentum = with_errors(figures, plant.world.seed, np.array(momentum), noise).tolist()
+        momentum = telemetry.with_errors(figures, plant.world.seed, np.array(momentum), noise).tolist()
     return {
         "wheel_momentum_n_m_s": [round(h, 6) for h in momentum],
-        "wheel_speed_rpm": [round(rotor_speed_rpm(h), 3) for h in momentum],
+        "wheel_speed_rpm": [round(body.rotor_speed_rpm(h), 3) for h in momentum],
         "thrusters_active": is_active,
     }
 

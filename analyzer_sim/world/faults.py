@@ -10,27 +10,7 @@ from analyzer_sim.streams import FloatArray, first_order, stream
 from analyzer_sim.world.orbit import EpochArray
 from analyzer_sim.world.payload.carriers import CarrierPlan
 from analyzer_sim.world.payload.effects import SOURCES, Effects, FaultFlag, apply_fault, draw
-from analyzer_sim.world.scenario.events import (
-    ChainStep,
-    DownlinkRain,
-    Eclipse,
-    Fault,
-    Gap,
-    GroupStep,
-    Interference,
-    PatternWave,
-    PlanChange,
-    Relevel,
-    Showers,
-    SourceSwitch,
-    Step,
-    Storm,
-    SunOutage,
-    SwitchOff,
-    UplinkRain,
-    Weather,
-    WeatherSystem,
-)
+from analyzer_sim.world.scenario import events
 
 #: systems that began so long before the first row still matter
 _BEFORE_H = 24.0
@@ -63,7 +43,7 @@ class System(NamedTuple):
     severity: float
 
 
-def weather(fault: Weather, effects: Effects, rng: np.random.Generator) -> None:
+def weather(fault: events.Weather, effects: Effects, rng: np.random.Generator) -> None:
     """Let systems pass over the stations, each station's own or shared by a share of them."""
     shared_rng, *station_rngs = rng.spawn(1 + len(effects.plan.columns_by_station))
     shared = _systems(fault, effects, shared_rng) if fault.shared > 0.0 else []
@@ -78,7 +58,7 @@ def weather(fault: Weather, effects: Effects, rng: np.random.Generator) -> None:
         _add_fade(effects, columns, loss_db)
 
 
-def weather_system(fault: WeatherSystem, effects: Effects, rng: np.random.Generator) -> None:
+def weather_system(fault: events.WeatherSystem, effects: Effects, rng: np.random.Generator) -> None:
     """Let one system pass over a share of the stations."""
     for columns, own_rng in _chosen_stations(fault.share, effects, rng):
         loss_db = np.zeros(len(effects.hours))
@@ -87,7 +67,7 @@ def weather_system(fault: WeatherSystem, effects: Effects, rng: np.random.Genera
         _add_fade(effects, columns, loss_db)
 
 
-def showers(fault: Showers, effects: Effects, rng: np.random.Generator) -> None:
+def showers(fault: events.Showers, effects: Effects, rng: np.random.Generator) -> None:
     """Let one shower pass over each station of a share."""
     for columns, own_rng in _chosen_stations(fault.share, effects, rng):
         loss_db = np.zeros(len(effects.hours))
@@ -105,7 +85,7 @@ def _chosen_stations(
         yield stations[number], own_rng
 
 
-def _systems(fault: Weather, effects: Effects, rng: np.random.Generator) -> list[System]:
+def _systems(fault: events.Weather, effects: Effects, rng: np.random.Generator) -> list[System]:
     """Draw the systems of one place in order of time."""
     systems: list[System] = []
     start_h = float(effects.hours[0]) - _BEFORE_H
@@ -114,7 +94,7 @@ def _systems(fault: Weather, effects: Effects, rng: np.random.Generator) -> list
     return systems
 
 
-def _arriving(fault: Weather, shared: list[System], rng: np.random.Generator) -> list[System]:
+def _arriving(fault: events.Weather, shared: list[System], rng: np.random.Generator) -> list[System]:
     """Draw which shared systems come to a station, when, and how severe they are there."""
     arriving = []
     for system in shared:
@@ -189,13 +169,19 @@ RAIN_BREATH_SHARE = 0.06
 RAIN_BREATH_MIN = 6.0
 
 
-def rain_db(rain: UplinkRain | DownlinkRain, hours: FloatArray, row_h: float, rng: np.random.Generator) -> FloatArray:
+def rain_db(
+    rain: events.UplinkRain | events.DownlinkRain, hours: FloatArray, row_h: float, rng: np.random.Generator
+) -> FloatArray:
     """Return the fade (T,) of one rain at hours from the start of operation; what it leaves open is drawn here."""
     return shower_db(rain, draw(rng, rain.start_h), hours, row_h, rng)
 
 
 def shower_db(
-    rain: UplinkRain | DownlinkRain | Storm, start_h: float, hours: FloatArray, row_h: float, rng: np.random.Generator
+    rain: events.UplinkRain | events.DownlinkRain | events.Storm,
+    start_h: float,
+    hours: FloatArray,
+    row_h: float,
+    rng: np.random.Generator,
 ) -> FloatArray:
     """Return the fade (T,) of a rain that begins at a given hour: a trapezoid that breathes."""
     depth_db = draw(rng, rain.depth_db)
@@ -231,7 +217,7 @@ def wet_antenna_db(fade_db: FloatArray, wet_db: float, dry_tau_min: float, row_h
 _OVER_SHARE = 0.05
 
 
-def storm(fault: Storm, effects: Effects, rng: np.random.Generator) -> None:
+def storm(fault: events.Storm, effects: Effects, rng: np.random.Generator) -> None:
     """Let rain cells take neighbouring stations one after another; wet antennas dry slowly."""
     carriers = effects.plan.carriers
     along = sorted(effects.plan.users, key=lambda k: carriers[k].station.longitude_deg)
@@ -249,21 +235,21 @@ def storm(fault: Storm, effects: Effects, rng: np.random.Generator) -> None:
             start_h += draw(rng, fault.between_min) / 60.0
 
 
-def relevel(fault: Relevel, effects: Effects, rng: np.random.Generator) -> None:
+def relevel(fault: events.Relevel, effects: Effects, rng: np.random.Generator) -> None:
     """Set every user's level again."""
     after, users = effects.hours >= fault.start_h, effects.plan.users
     effects.level_db[np.ix_(after, np.array(users))] += fault.sigma_db * rng.normal(size=len(users))
     effects.add_flag(after, users, FaultFlag.STEP)
 
 
-def change_plan(fault: PlanChange, effects: Effects, rng: np.random.Generator) -> None:  # noqa: ARG001 - nothing is left open
+def change_plan(fault: events.PlanChange, effects: Effects, rng: np.random.Generator) -> None:  # noqa: ARG001 - nothing is left open
     """Take carriers off the air for good and put others on."""
     after = effects.hours >= fault.start_h
     effects.add_flag(after, [effects.ids.index(name) for name in fault.gone], FaultFlag.OFF)
     effects.add_flag(~after, [effects.ids.index(name) for name in fault.new], FaultFlag.OFF)
 
 
-def eclipse(fault: Eclipse, effects: Effects, rng: np.random.Generator) -> None:
+def eclipse(fault: events.Eclipse, effects: Effects, rng: np.random.Generator) -> None:
     """Cool gains and reflector in the shadow, warm them after it."""
     start_h, duration_h = draw(rng, fault.start_h), draw(rng, fault.duration_min) / 60.0
     share = cooling(effects.hours, start_h, duration_h, fault.tau_min / 60.0)
@@ -280,7 +266,7 @@ def eclipse(fault: Eclipse, effects: Effects, rng: np.random.Generator) -> None:
     effects.declare("eclipse", start_h, start_h + duration_h, comment="Earth's shadow")
 
 
-def pattern_wave(fault: PatternWave, effects: Effects, rng: np.random.Generator) -> None:
+def pattern_wave(fault: events.PatternWave, effects: Effects, rng: np.random.Generator) -> None:
     """Move the uplink patterns once a solar day."""
     phase = rng.uniform(0.0, 2.0 * np.pi, 2)
     wave = np.array(fault.size_deg) * np.cos(2.0 * np.pi * effects.hours[:, None] / 24.0 - phase)
@@ -295,7 +281,7 @@ def cooling(hours: FloatArray, start_h: float, duration_h: float, tau_h: float) 
     return np.asarray(np.where(share > 1e-4, share, 0.0))
 
 
-def sun_outage(fault: SunOutage, effects: Effects, rng: np.random.Generator) -> None:
+def sun_outage(fault: events.SunOutage, effects: Effects, rng: np.random.Generator) -> None:
     """Raise the noise while the Sun crosses the beam of the receiving site."""
     start_h, duration_h = draw(rng, fault.start_h), draw(rng, fault.duration_min) / 60.0
     inside = (effects.hours - start_h) / duration_h
@@ -307,7 +293,7 @@ def sun_outage(fault: SunOutage, effects: Effects, rng: np.random.Generator) -> 
     effects.declare("sun_outage", start_h - margin_h, start_h + duration_h + margin_h, comment="Sun in the beam")
 
 
-def switch_source(fault: SourceSwitch, effects: Effects, rng: np.random.Generator) -> None:
+def switch_source(fault: events.SourceSwitch, effects: Effects, rng: np.random.Generator) -> None:
     """Let the second analyzer measure for some hours; its chain has another gain."""
     start_h = draw(rng, fault.start_h)
     edges_us = [effects.epoch_us(hours) for hours in (start_h, start_h + draw(rng, fault.duration_h))]
@@ -331,7 +317,7 @@ for _spell in (*SPELLS, *STATION_WEATHER):
 
 
 def effects_of(
-    faults: Sequence[Fault], seed: int, plan: CarrierPlan, epochs_us: EpochArray, start_us: int, row_h: float
+    faults: Sequence[events.Fault], seed: int, plan: CarrierPlan, epochs_us: EpochArray, start_us: int, row_h: float
 ) -> Effects:
     """Return what the faults do at each epoch; `start_us` is the start of operation."""
     effects = Effects.none(plan, epochs_us, start_us, row_h)
@@ -341,7 +327,7 @@ def effects_of(
 
 
 @apply_fault.register
-def _(fault: UplinkRain, effects: Effects, rng: np.random.Generator) -> None:
+def _(fault: events.UplinkRain, effects: Effects, rng: np.random.Generator) -> None:
     for shower in range(fault.count):
         carrier = _pick(rng, effects, fault.carriers, shower)
         fade_db = rain_db(fault, effects.hours, effects.row_h, rng)
@@ -350,14 +336,14 @@ def _(fault: UplinkRain, effects: Effects, rng: np.random.Generator) -> None:
 
 
 @apply_fault.register
-def _(fault: DownlinkRain, effects: Effects, rng: np.random.Generator) -> None:
+def _(fault: events.DownlinkRain, effects: Effects, rng: np.random.Generator) -> None:
     fade_db = rain_db(fault, effects.hours, effects.row_h, rng)
     np.add(effects.downlink_fade_db, fade_db, out=effects.downlink_fade_db)
     effects.add_flag(fade_db > 0.0, range(len(effects.ids)), FaultFlag.DOWNLINK_RAIN)
 
 
 @apply_fault.register
-def _(fault: SwitchOff, effects: Effects, rng: np.random.Generator) -> None:
+def _(fault: events.SwitchOff, effects: Effects, rng: np.random.Generator) -> None:
     carriers = [_pick(rng, effects, fault.carriers, number) for number in range(max(1, len(fault.carriers)))]
     start_h, duration_h, after_db = (draw(rng, r) for r in (fault.start_h, fault.duration_h, fault.level_after_db))
     stop_h = start_h + duration_h
@@ -372,7 +358,7 @@ def _(fault: SwitchOff, effects: Effects, rng: np.random.Generator) -> None:
 
 
 @apply_fault.register
-def _(fault: Step, effects: Effects, rng: np.random.Generator) -> None:
+def _(fault: events.Step, effects: Effects, rng: np.random.Generator) -> None:
     for number in range(fault.count):
         carrier = _pick(rng, effects, fault.carriers, number)
         after = effects.hours >= draw(rng, fault.start_h)
@@ -381,7 +367,7 @@ def _(fault: Step, effects: Effects, rng: np.random.Generator) -> None:
 
 
 @apply_fault.register
-def _(fault: GroupStep, effects: Effects, rng: np.random.Generator) -> None:
+def _(fault: events.GroupStep, effects: Effects, rng: np.random.Generator) -> None:
     transponder = fault.transponder or str(rng.choice(sorted(effects.plan.beams)))
     members = effects.members(transponder)
     start_h = draw(rng, fault.start_h)
@@ -395,7 +381,7 @@ def _(fault: GroupStep, effects: Effects, rng: np.random.Generator) -> None:
 
 
 @apply_fault.register
-def _(fault: ChainStep, effects: Effects, rng: np.random.Generator) -> None:
+def _(fault: events.ChainStep, effects: Effects, rng: np.random.Generator) -> None:
     start_h = draw(rng, fault.start_h)
     after = effects.hours >= start_h
     effects.chain_db[after] += draw(rng, fault.size_db)
@@ -406,7 +392,7 @@ def _(fault: ChainStep, effects: Effects, rng: np.random.Generator) -> None:
 
 
 @apply_fault.register
-def _(fault: Interference, effects: Effects, rng: np.random.Generator) -> None:
+def _(fault: events.Interference, effects: Effects, rng: np.random.Generator) -> None:
     for number in range(fault.count):
         carrier = _pick(rng, effects, fault.carriers, number)
         start_h, duration_h = draw(rng, fault.start_h), draw(rng, fault.duration_min) / 60.0
@@ -416,7 +402,7 @@ def _(fault: Interference, effects: Effects, rng: np.random.Generator) -> None:
 
 
 @apply_fault.register
-def _(fault: Gap, effects: Effects, rng: np.random.Generator) -> None:
+def _(fault: events.Gap, effects: Effects, rng: np.random.Generator) -> None:
     for _number in range(fault.count):
         start_h, duration_h = draw(rng, fault.start_h), draw(rng, fault.duration_min) / 60.0
         rows = (effects.hours >= start_h) & (effects.hours < start_h + duration_h)

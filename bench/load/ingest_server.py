@@ -1,32 +1,24 @@
 """The service of the ingest benchmark: the real application and server, over the real archive or over another.
 
 Run ``python -m bench.load.ingest_server --archive durable --database sqlite:///file.db``. It announces its address as
-``soo serve`` does. The endpoint is always the same. With ``--archive none`` rows count as stored the moment they come,
-with ``--archive each`` every request is committed by a thread of its own.
+``soo serve`` does. The endpoint is always the same. With ``--archive none`` rows count as stored the moment they
+come.
 """
 
 import argparse
 import json
 import os
 import socket
-from concurrent.futures import Future, ThreadPoolExecutor
-from functools import partial
-from threading import local
+from concurrent.futures import Future
 from typing import Any
 
 import uvicorn
 
-from db.connection.engines import open_engines
-from db.encoding.segments import SegmentCache
-from db.measurements.ingest import PreparedBatch, StoreBatch, prepare
 from service.api.server_process import StreamingServer
 from service.composition.bootstrap import build_app, build_storage
 from service.composition.settings import Settings
 from service.records.levels.measurement import BatchReceipt, MeasurementBatch
 from service.runtime.jobs.job_runner import calm_collector
-
-#: as many as the framework's own pool has
-THREADS = 40
 
 
 class NoArchive:
@@ -62,57 +54,18 @@ class NoArchive:
         return []
 
 
-class CommitPerRequest:
-    """An archive that commits every batch by itself; everything else is asked of the real one.
-
-    A batch is stored by a thread of a pool over a connection of its own, as services on a thread pool do.
-
-    Parameters
-    ----------
-    archive : Any
-        The real one.
-    url : str
-        Its database.
-    """
-
-    def __init__(self, archive: Any, url: str) -> None:
-        self._archive = archive
-        self._url = url
-        self._pool = ThreadPoolExecutor(THREADS)
-        self._of_thread = local()
-        self._cache = SegmentCache()
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._archive, name)
-
-    def append_measurements(self, batch: MeasurementBatch) -> "Future[BatchReceipt]":
-        """Store the rows of a batch; the future resolves after their own commit."""
-        key = self._archive._database.key(batch.spacecraft_id)  # noqa: SLF001 - no port tells keys
-        prepared = prepare(key, batch)
-        return self._pool.submit(partial(self._store, prepared))
-
-    def _store(self, prepared: PreparedBatch) -> BatchReceipt:
-        if not hasattr(self._of_thread, "engine"):
-            self._of_thread.engine = open_engines(self._url).write
-        with self._of_thread.engine.begin() as connection:
-            return StoreBatch(prepared, self._cache)(connection)
-
-
 def main() -> None:
     """Serve until told to stop."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--archive", choices=("durable", "none", "each"), required=True)
+    parser.add_argument("--archive", choices=("durable", "none"), required=True)
     parser.add_argument("--database", required=True)
     options = parser.parse_args()
     os.environ |= {"SOO_DATABASE_URL": options.database, "SOO_CLOCK": "data"}
     settings = Settings.model_validate({})
     storage = build_storage(settings)
     if options.archive == "none":
-        archive: Any = NoArchive(storage.archive)
-        storage.archive = archive
-    elif options.archive == "each":
-        archive = CommitPerRequest(storage.archive, options.database)
-        storage.archive = archive
+        no_archive: Any = NoArchive(storage.archive)
+        storage.archive = no_archive
     app = build_app(settings, storage)
     # as the service itself does
     calm_collector()

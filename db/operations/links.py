@@ -17,7 +17,7 @@ from service.errors import ConflictError, NotFoundError
 from service.ports.archive import ListPart
 from service.records.epoch import US_PER_S, format_epoch
 from service.records.levels.attitude import FloatArray
-from service.records.levels.sweep import KeptTrace, Ring, Trace, TraceHead, TraceReceipt, TraceSettings
+from service.records.levels.measurement import KeptTrace, Ring, Trace, TraceHead, TraceReceipt, TraceSettings
 from service.records.operations.work import LinkReport, LinkState, update_period
 
 #: no ground station has more; a key that invents ids ends here

@@ -24,12 +24,10 @@ from service.api.context import (
     MonitoringSettings,
     PlanWidths,
 )
-from service.api.limits.body_limit import BodyLimit
 from service.api.limits.http_protocol import Connections
-from service.api.limits.rate_limits import RateLimits
+from service.api.limits.rate_limits import BodyLimit, RateLimits
 from service.api.monitoring.access_log import RequestLog, RequestMetrics
-from service.api.monitoring.metrics import Metrics
-from service.api.monitoring.readiness import SharedReadiness
+from service.api.monitoring.metrics import Metrics, SharedReadiness
 from service.api.problems.problems import add_handlers
 from service.api.protocol import openapi
 from service.api.protocol.requests import KNOWN_PARAMETERS, RequestIds

@@ -15,11 +15,11 @@ _COMMANDS = {
         "Show the whole chain: SCPI analyzer to angles to torques that keep the spacecraft, on a virtual clock.",
     ),
     "init": CommandSource(
-        "administration.init",
+        "administration.server",
         "Make a folder from which a service starts: settings, archive, first key, systemd unit.",
     ),
     "serve": CommandSource(
-        "administration.serve", "Serve the REST interface; makes a new archive where there is none."
+        "administration.server", "Serve the REST interface; makes a new archive where there is none."
     ),
     "acquire": CommandSource(
         "station.acquire", "Measure carrier powers on spectrum analyzers and send them to the service."
@@ -39,8 +39,8 @@ _COMMANDS = {
         "operation.operate", "Take angles and reference powers from a window; from then on no sensor is used."
     ),
     "replay": CommandSource("operation.operate", "Run the chain again over the archive, as a new version."),
-    "replays": CommandSource("operation.replays", "List the versions that replays wrote, or delete one."),
-    "compare": CommandSource("operation.comparison.compare", "Compare the attitude of two versions row by row."),
+    "replays": CommandSource("operation.operate", "List the versions that replays wrote, or delete one."),
+    "compare": CommandSource("operation.comparison", "Compare the attitude of two versions row by row."),
     "status": CommandSource("shift.reading", "Say whether torques may go, why not, and what to do next."),
     "attitude": CommandSource(
         "shift.reading", "Say where the spacecraft points, how sure that is, and what both methods say."
@@ -51,7 +51,7 @@ _COMMANDS = {
     ),
     "shelve": CommandSource("shift.reading", "Keep an alarm quiet for some hours of the spacecraft's clock."),
     "control": CommandSource("shift.control", "Control: arm, stop, reset."),
-    "torque": CommandSource("shift.torque", "Release of torques by two persons: prepare, confirm, report."),
+    "torque": CommandSource("shift.control", "Release of torques by two persons: prepare, confirm, report."),
     "note": CommandSource("shift.reading", "Write a note into the shift log."),
     "handover": CommandSource(
         "shift.handover", "Write what the next shift must know: alarms, control, operations, links, what ends, notes."
@@ -60,25 +60,25 @@ _COMMANDS = {
     "report": CommandSource(
         "shift.handover", "Write a report of the last day or shift with figures, then the hand-over."
     ),
-    "export": CommandSource("operation.export", "Download a stretch of the archive."),
+    "export": CommandSource("operation.operate", "Download a stretch of the archive."),
     "plan": CommandSource(
         "planning.plan", "Choose carriers, judge what they can see, and print a timetable of calibration turns."
     ),
     "doctor": CommandSource(
-        "administration.doctor", "Look at an archive, also of a running service, and say what is wrong and what to do."
+        "administration.archive", "Look at an archive, also of a running service, and say what is wrong and what to do."
     ),
     "maintenance": CommandSource(
-        "administration.maintenance",
+        "administration.archive",
         "Seal closed days and drop what retention no longer keeps, as the service does by itself.",
     ),
     "openapi": CommandSource("reference", "Write the OpenAPI document of this version."),
     "settings": CommandSource("reference", "Print the settings in force, or the reference of all settings."),
-    "keys": CommandSource("administration.keys", "Access keys of a service: make, list, revoke."),
-    "audit": CommandSource("administration.audit", "The audit log: who did what, chained by hashes."),
+    "keys": CommandSource("administration.access", "Access keys of a service: make, list, revoke."),
+    "audit": CommandSource("administration.access", "The audit log: who did what, chained by hashes."),
     "backup": CommandSource(
-        "administration.backup", "Copies of an archive: made while the service runs, proved, put back."
+        "administration.archive", "Copies of an archive: made while the service runs, proved, put back."
     ),
-    "study": CommandSource("studies.study", "Campaigns on simulated truth and reproductions of papers."),
+    "study": CommandSource("studies", "Campaigns on simulated truth and reproductions of papers."),
     "carriers": CommandSource(
         "shift.reading", "Say which carriers the newest attitude uses, which it leaves out, and why."
     ),

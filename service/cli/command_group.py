@@ -1,9 +1,11 @@
 """Groups of commands that import a command only when it is run: the start of one must not pay for the others."""
 
 import gc
+import os
 from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
-from typing import Any, NamedTuple, NoReturn
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple, NoReturn
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -13,7 +15,7 @@ EXIT_USAGE = 2
 
 
 class CommandSource(NamedTuple):
-    """Module below ``service.cli`` that holds a command, or the ``app`` of a group, and its line in the help."""
+    """Module below ``service.cli`` that holds a command ``x``, or a group ``x_app``, and its line in the help."""
 
     module: str
     help: str
@@ -27,10 +29,11 @@ class _LateCommands(Mapping[str, Any]):
 
     def __getitem__(self, name: str) -> Any:
         module = import_module(f"service.cli.{self._sources[name].module}")
-        app = getattr(module, "app", None)
+        word = name.replace("-", "_")
+        app = getattr(module, f"{word}_app", None)
         if app is None:
             app = new_app()
-            app.command(name)(getattr(module, name.replace("-", "_")))
+            app.command(name)(getattr(module, word))
         command = typer.main.get_command(app)
         command.name = name
         return command
@@ -121,3 +124,46 @@ def end(message: str, code: int = EXIT_USAGE, cause: BaseException | None = None
     """End the command with a message on standard error and an exit code."""
     typer.echo(message, err=True)
     raise typer.Exit(code) from cause
+
+
+#: extra by the name under which a package is imported
+EXTRA_OF = {"matplotlib": "study", "pyvisa": "station", "pyvisa_py": "station", "distributed": "cluster"}
+
+
+def require(name: str) -> None:
+    """Import a package of an extra, so that a command ends at once where it is missing.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        It is not installed; ``service.__main__`` says which extra has it.
+    """
+    import_module(name)
+
+
+def _reachable(scheduler: str | None) -> str | None:
+    """Return the address of a scheduler, or end before the work where the extra is missing."""
+    if scheduler is not None:
+        require("distributed")
+    return scheduler
+
+
+Scheduler = Annotated[
+    str | None,
+    typer.Option(help="Compute on the Dask cluster of this scheduler, as tcp://host:8786.", callback=_reachable),
+]
+
+
+def state_folder(kind: str) -> Path:
+    """Return the folder for one kind of state: ``$STATE_DIRECTORY``, ``$XDG_STATE_HOME/soo`` or ``~/.local/state/soo``.
+
+    Examples
+    --------
+    >>> state_folder("spool").name
+    'spool'
+    """
+    given = os.environ.get("STATE_DIRECTORY", "").split(":")[0]
+    if given:
+        return Path(given) / kind
+    home = os.environ.get("XDG_STATE_HOME")
+    return (Path(home) if home else Path.home() / ".local" / "state") / "soo" / kind

@@ -7,9 +7,8 @@ from typing import Any, Self, TypeVar
 
 import httpx
 
-from service.client.call import BASE_PATH, Attempts, Call, broke_off, decoded, default_headers, no_answer, page_of
+from service.client import call as calls
 from service.client.documents import Json
-from service.client.event_lines import Follower, StreamEvent
 from service.client.problem import ServiceUnavailableError, error_of
 
 Result = TypeVar("Result")
@@ -31,7 +30,7 @@ class AsyncTransport:
     ) -> None:
         self._http = httpx.AsyncClient(
             base_url=service_url.rstrip("/"),
-            headers=default_headers(key),
+            headers=calls.default_headers(key),
             timeout=timeout_s,
             transport=http,
             trust_env=False,
@@ -61,12 +60,12 @@ class AsyncTransport:
         is_keyed: bool = False,
     ) -> Any:
         """Send any request below ``/api/v1``; see `service.client.call.Call`."""
-        call: Call[Any] = Call(method, path, body, params or {}, is_keyed)
+        call: calls.Call[Any] = calls.Call(method, path, body, params or {}, is_keyed)
         return await self.send(call)
 
-    async def send(self, call: Call[Result]) -> Result:
+    async def send(self, call: calls.Call[Result]) -> Result:
         """Return the decoded answer of one call; errors as in `service.client.transport.Transport.send`."""
-        attempts = Attempts(self._retries, self._first_wait_s, is_safe=call.is_safe)
+        attempts = calls.Attempts(self._retries, self._first_wait_s, is_safe=call.is_safe)
         while True:
             try:
                 return await self._send_once(call)
@@ -78,14 +77,16 @@ class AsyncTransport:
         """Yield the body of a GET as it comes; see `service.client.transport.Transport.download`."""
         query = {name: value for name, value in (params or {}).items() if value is not None}
         try:
-            async with self._http.stream("GET", BASE_PATH + path, params=query, headers={"Accept": "*/*"}) as response:
+            async with self._http.stream(
+                "GET", calls.BASE_PATH + path, params=query, headers={"Accept": "*/*"}
+            ) as response:
                 if not response.is_success:
                     await response.aread()
                     raise error_of(response)
                 async for chunk in response.aiter_bytes():
                     yield chunk
         except httpx.TransportError as error:
-            raise broke_off(path, error) from error
+            raise calls.broke_off(path, error) from error
 
     async def pages(
         self, path: str, params: Mapping[str, Any] | None = None, *, rows: str = "rows"
@@ -93,14 +94,14 @@ class AsyncTransport:
         """Yield every row of a list below ``/api/v1``, page after page; ``rows`` names the field that holds them."""
         cursor: str | None = None
         while True:
-            page = await self.send(page_of(path, params, cursor))
+            page = await self.send(calls.page_of(path, params, cursor))
             for row in page[rows]:
                 yield row
             cursor = page.get("next")
             if not cursor:
                 return
 
-    async def follow(self, path: str, follower: Follower) -> AsyncIterator[StreamEvent]:
+    async def follow(self, path: str, follower: calls.Follower) -> AsyncIterator[calls.StreamEvent]:
         """Yield the events of a stream; see `service.client.transport.Transport.follow`."""
         while True:
             try:
@@ -113,26 +114,26 @@ class AsyncTransport:
                 fault = error
             await self._sleep(follower.wait_after(fault))
 
-    async def _chunks(self, path: str, follower: Follower) -> AsyncGenerator[bytes, None]:
+    async def _chunks(self, path: str, follower: calls.Follower) -> AsyncGenerator[bytes, None]:
         """Yield the events of one connection."""
         headers, timeout = follower.headers(), follower.timeout(self._http.timeout)
         try:
-            async with self._http.stream("GET", BASE_PATH + path, headers=headers, timeout=timeout) as response:
+            async with self._http.stream("GET", calls.BASE_PATH + path, headers=headers, timeout=timeout) as response:
                 if not response.is_success:
                     await response.aread()
                     raise error_of(response)
                 async for chunk in response.aiter_bytes():
                     yield chunk
         except httpx.TransportError as error:
-            raise no_answer(self._http.base_url, "GET", BASE_PATH + path, error) from error
+            raise calls.no_answer(self._http.base_url, "GET", calls.BASE_PATH + path, error) from error
 
-    async def _send_once(self, call: Call[Result]) -> Result:
+    async def _send_once(self, call: calls.Call[Result]) -> Result:
         """Send once."""
         try:
             response = await self._http.request(
                 call.method, call.url, content=call.content, params=call.query, headers=call.headers
             )
         except httpx.TransportError as error:
-            raise no_answer(self._http.base_url, call.method, call.url, error) from error
-        answer: Result = decoded(response, call.member)
+            raise calls.no_answer(self._http.base_url, call.method, call.url, error) from error
+        answer: Result = calls.decoded(response, call.member)
         return answer

@@ -10,7 +10,7 @@ from typing import Any, Concatenate, Generic, Literal, ParamSpec, TypeVar, overl
 from urllib.parse import quote, urlencode
 
 from service.client.async_transport import AsyncTransport
-from service.client.call import Call, Epoch, epoch_text, epochs, given, window
+from service.client.call import Call, Epoch, EventKind, Follower, StreamEvent, epoch_text, epochs, given, window
 from service.client.documents import (
     Attitude,
     CommandReply,
@@ -22,7 +22,6 @@ from service.client.documents import (
     Receipt,
     StatusReply,
 )
-from service.client.event_lines import EventKind, Follower, StreamEvent
 from service.client.transport import Transport
 
 P = ParamSpec("P")

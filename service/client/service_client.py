@@ -3,10 +3,9 @@
 import time
 from collections.abc import Callable
 
-from service.client.call import Epoch, JobFailedError, JobWatch, epoch_text
+from service.client.call import Epoch, JobFailedError, JobWatch, StreamEvent, epoch_text
 from service.client.documents import JobReply
 from service.client.endpoints import Endpoints
-from service.client.event_lines import StreamEvent
 from service.client.transport import Transport
 
 __all__ = ["Epoch", "JobFailedError", "ServiceClient", "StreamEvent", "epoch_text"]

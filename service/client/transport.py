@@ -7,9 +7,8 @@ from typing import Any, Self, TypeVar
 
 import httpx
 
-from service.client.call import BASE_PATH, Attempts, Call, broke_off, decoded, default_headers, no_answer, page_of
+from service.client import call as calls
 from service.client.documents import Json
-from service.client.event_lines import Follower, StreamEvent
 from service.client.problem import ServiceUnavailableError, error_of
 
 Result = TypeVar("Result")
@@ -55,7 +54,7 @@ class Transport:
         # The environment's proxies are not used: a key for the station network stays in it.
         self._http = httpx.Client(
             base_url=service_url.rstrip("/"),
-            headers=default_headers(key),
+            headers=calls.default_headers(key),
             timeout=timeout_s,
             transport=http,
             trust_env=False,
@@ -86,10 +85,10 @@ class Transport:
         is_keyed: bool = False,
     ) -> Any:
         """Send any request below ``/api/v1``; see `service.client.call.Call`."""
-        call: Call[Any] = Call(method, path, body, params or {}, is_keyed)
+        call: calls.Call[Any] = calls.Call(method, path, body, params or {}, is_keyed)
         return self.send(call)
 
-    def send(self, call: Call[Result]) -> Result:
+    def send(self, call: calls.Call[Result]) -> Result:
         """Return the decoded answer of one call.
 
         Raises
@@ -99,7 +98,7 @@ class Transport:
         ServiceUnavailableError
             No answer, or try later, after all attempts.
         """
-        attempts = Attempts(self._retries, self._first_wait_s, is_safe=call.is_safe)
+        attempts = calls.Attempts(self._retries, self._first_wait_s, is_safe=call.is_safe)
         while True:
             try:
                 return self._send_once(call)
@@ -139,26 +138,26 @@ class Transport:
         query = {name: value for name, value in (params or {}).items() if value is not None} or None
         reported = {"Accept": "*/*", **(headers or {})}
         try:
-            with self._http.stream("GET", BASE_PATH + path, params=query, headers=reported) as response:
+            with self._http.stream("GET", calls.BASE_PATH + path, params=query, headers=reported) as response:
                 if not response.is_success:
                     response.read()
                     raise error_of(response)
                 on_status(response.status_code)
                 yield from response.iter_bytes()
         except httpx.TransportError as error:
-            raise broke_off(path, error) from error
+            raise calls.broke_off(path, error) from error
 
     def pages(self, path: str, params: Mapping[str, Any] | None = None, *, rows: str = "rows") -> Iterator[Json]:
         """Yield every row of a list below ``/api/v1``, page after page; ``rows`` names the field that holds them."""
         cursor: str | None = None
         while True:
-            page = self.send(page_of(path, params, cursor))
+            page = self.send(calls.page_of(path, params, cursor))
             yield from page[rows]
             cursor = page.get("next")
             if not cursor:
                 return
 
-    def follow(self, path: str, follower: Follower) -> Iterator[StreamEvent]:
+    def follow(self, path: str, follower: calls.Follower) -> Iterator[calls.StreamEvent]:
         """Yield the events of a stream, through every end of the connection, until the follower has had enough.
 
         Raises
@@ -178,35 +177,35 @@ class Transport:
                 fault = error
             self._sleep(follower.wait_after(fault))
 
-    def _chunks(self, path: str, follower: Follower) -> Generator[bytes, None, None]:
+    def _chunks(self, path: str, follower: calls.Follower) -> Generator[bytes, None, None]:
         """Yield the events of one connection."""
         headers, timeout = follower.headers(), follower.timeout(self._http.timeout)
         try:
-            with self._http.stream("GET", BASE_PATH + path, headers=headers, timeout=timeout) as response:
+            with self._http.stream("GET", calls.BASE_PATH + path, headers=headers, timeout=timeout) as response:
                 if not response.is_success:
                     response.read()
                     raise error_of(response)
                 yield from response.iter_bytes()
         except httpx.TransportError as error:
-            raise no_answer(self._http.base_url, "GET", BASE_PATH + path, error) from error
+            raise calls.no_answer(self._http.base_url, "GET", calls.BASE_PATH + path, error) from error
 
-    def _send_once(self, call: Call[Result]) -> Result:
+    def _send_once(self, call: calls.Call[Result]) -> Result:
         """Send once, and again where the key was refused, which did nothing, and another is stored by now."""
         try:
             response = self._respond(call)
             if response.status_code in _KEY_REFUSED and self._is_key_replaced():
                 response = self._respond(call)
         except httpx.TransportError as error:
-            raise no_answer(self._http.base_url, call.method, call.url, error) from error
-        answer: Result = decoded(response, call.member)
+            raise calls.no_answer(self._http.base_url, call.method, call.url, error) from error
+        answer: Result = calls.decoded(response, call.member)
         return answer
 
-    def _respond(self, call: Call[Result]) -> httpx.Response:
+    def _respond(self, call: calls.Call[Result]) -> httpx.Response:
         return self._http.request(call.method, call.url, content=call.content, params=call.query, headers=call.headers)
 
     def _is_key_replaced(self) -> bool:
         """Take the stored key, and return whether it is another one."""
-        headers = default_headers(self._stored_key())
+        headers = calls.default_headers(self._stored_key())
         is_another = headers.get("Authorization", "") not in {"", self._http.headers.get("Authorization")}
         self._http.headers.update(headers)
         return is_another

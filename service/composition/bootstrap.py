@@ -15,8 +15,7 @@ from service.api.access.auth import origins_of
 from service.api.app import create_app
 from service.api.context import ApiContext, Limits, MonitoringSettings
 from service.api.monitoring.metrics import raised_descriptor_limit
-from service.composition.setting_entries import entries_in_force
-from service.composition.settings import Settings
+from service.composition.settings import Settings, entries_in_force
 from service.console.pages import with_console
 from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.checkpoints import fingerprint

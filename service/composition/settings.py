@@ -4,10 +4,12 @@ Nested settings use a double underscore: ``SOO_INTERLOCK__VALIDITY_LIMIT_DEG=0.3
 publication where it states one, else tuned on the simulator's truth; docs/reference/settings.md lists all.
 """
 
+import dataclasses
 import os
+from collections.abc import Iterator
 from ipaddress import ip_network
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, SecretStr
 from pydantic_settings import (
@@ -20,19 +22,9 @@ from pydantic_settings import (
 
 from service.api.access.auth import origins_of
 from service.api.limits.rate_limits import RateLimitConfig
-from service.pipeline.config import (
-    AlarmConfig,
-    AlignmentConfig,
-    CalibrationConfig,
-    ChainConfig,
-    EstimationConfig,
-    FadeConfig,
-    InterlockConfig,
-    OperationConfig,
-    RobustConfig,
-    TorqueConfig,
-)
+from service.pipeline import config
 from service.pipeline.control.release.interlock_conditions import ReleaseSettings
+from service.records.setting import CHOSEN, SettingEntry, SettingSource
 from service.records.storage import RetentionConfig, SealingConfig
 from service.runtime.jobs.job_runner import WorkerConfig
 from service.runtime.jobs.smoothing import SmoothingConfig
@@ -152,24 +144,26 @@ class Settings(BaseSettings):
     alarm_mail_from: str = Field("soo@localhost", description="sender of notices")
     alarm_mail_to: str | None = Field(None, description="receivers of notices, by commas")
     workers: WorkerConfig = Field(WorkerConfig(), description="calibrations in worker processes")
-    calibration: CalibrationConfig = Field(CalibrationConfig(), description="calibration jobs")
-    alignment: AlignmentConfig = Field(AlignmentConfig(), description="alignments")
-    estimation: EstimationConfig = Field(EstimationConfig(), description="the paper method in operation")
-    fade: FadeConfig = Field(FadeConfig(), description="downlink rain rule")
-    interlock: InterlockConfig = Field(InterlockConfig(), description="what inhibits control")
-    torque: TorqueConfig = Field(TorqueConfig(), description="torque pulses")
+    calibration: config.CalibrationConfig = Field(config.CalibrationConfig(), description="calibration jobs")
+    alignment: config.AlignmentConfig = Field(config.AlignmentConfig(), description="alignments")
+    estimation: config.EstimationConfig = Field(config.EstimationConfig(), description="the paper method in operation")
+    fade: config.FadeConfig = Field(config.FadeConfig(), description="downlink rain rule")
+    interlock: config.InterlockConfig = Field(config.InterlockConfig(), description="what inhibits control")
+    torque: config.TorqueConfig = Field(config.TorqueConfig(), description="torque pulses")
     release: ReleaseSettings = Field(ReleaseSettings(), description="release of torques")
-    robust: RobustConfig = Field(RobustConfig(), description="the robust method in operation")
-    operations: OperationConfig = Field(OperationConfig(), description="what declared operations mean to it")
+    robust: config.RobustConfig = Field(config.RobustConfig(), description="the robust method in operation")
+    operations: config.OperationConfig = Field(
+        config.OperationConfig(), description="what declared operations mean to it"
+    )
     smoothing: SmoothingConfig = Field(SmoothingConfig(), description="live series of smoothed angles")
 
-    alarms: AlarmConfig = Field(AlarmConfig(), description="alarms by default")
+    alarms: config.AlarmConfig = Field(config.AlarmConfig(), description="alarms by default")
     sealing: SealingConfig = Field(SealingConfig(), description="packing of closed days")
     retention: RetentionConfig = Field(RetentionConfig(), description="how long series are kept")
 
-    def chain_config(self) -> ChainConfig:
+    def chain_config(self) -> config.ChainConfig:
         """Return the configuration of every chain."""
-        return ChainConfig(
+        return config.ChainConfig(
             self.estimation,
             self.fade,
             self.interlock,
@@ -177,3 +171,68 @@ class Settings(BaseSettings):
             self.robust,
             self.operations,
         )
+
+
+def setting_entries(settings: Settings) -> Iterator[SettingEntry]:
+    """Yield every setting in the order of its declaration, with the value that some settings give it."""
+    for name, field in Settings.model_fields.items():
+        value = getattr(settings, name)
+        if dataclasses.is_dataclass(value):
+            yield from _stage_entries(name, field.default, value)
+        else:
+            meaning = field.description or ""
+            yield SettingEntry(_variable(name), _shown(field.default), meaning, CHOSEN, _shown(value))
+
+
+def entries_in_force(settings: Settings) -> tuple[SettingEntry, ...]:
+    """Return every setting with where its value was read; one that neither variable nor file gives is an option's."""
+    read = {entry.name: entry.value for entry in setting_entries(Settings.model_validate({}))}
+    return tuple(
+        entry._replace(source=_source(entry.name) if entry.value == read[entry.name] else "option")
+        for entry in setting_entries(settings)
+    )
+
+
+def _source(name: str) -> SettingSource:
+    """Return where a setting is read when no option gives it."""
+    # a whole stage may stand in one variable, as JSON
+    names = {name, name.partition("__")[0]}
+    if any(value and variable.upper() in names for variable, value in os.environ.items()):
+        return "environment"
+    folder = os.environ.get("SOO_SECRETS_DIR")
+    files = {path.name.upper() for path in Path(folder).iterdir()} if folder else set()
+    return "file" if names & files else "default"
+
+
+def _stage_entries(path: str, default: Any, value: Any) -> Iterator[SettingEntry]:
+    """Yield the settings of a stage's configuration at every depth."""
+    for field in dataclasses.fields(value):
+        inner = f"{path}.{field.name}"
+        inner_default, inner_value = getattr(default, field.name), getattr(value, field.name)
+        if dataclasses.is_dataclass(inner_value):
+            yield from _stage_entries(inner, inner_default, inner_value)
+        else:
+            said = field.metadata
+            shown = _shown(inner_default), said["meaning"], said["origin"], _shown(inner_value)
+            yield SettingEntry(_variable(inner), *shown)
+
+
+def _variable(path: str) -> str:
+    """Return the environment variable of a setting."""
+    return "SOO_" + path.replace(".", "__").upper()
+
+
+def _shown(value: object) -> str:
+    """Return a value as it is printed; a secret only says that it is set."""
+    if isinstance(value, SecretStr):
+        return "(set)"
+    return "none" if value is None else _without_password(str(value))
+
+
+def _without_password(text: str) -> str:
+    """Return a text as it is, a URL without user, password and parameters, any of which may hold a secret."""
+    scheme, mark, rest = text.partition("://")
+    # a password may hold any sign: only what follows the last @ is shown
+    _, at, shown = rest.rpartition("@")
+    shown, has_parameters, _ = shown.partition("?")
+    return f"{scheme}{mark}{'***@' if at else ''}{shown}{'?***' if has_parameters else ''}" if mark else text

@@ -14,17 +14,7 @@ from itertools import groupby
 import numpy as np
 
 from service.errors import InvalidInputError
-from service.formats.ccsds import (
-    as_bytes,
-    comment,
-    epoch_of,
-    epoch_texts,
-    keyword_and_value,
-    line,
-    malformed,
-    message_header,
-    read_segments,
-)
+from service.formats import ccsds
 from service.formats.ephemeris import utc_us
 from service.formats.numbers import text_of_float32
 from service.records.catalogue import Carrier
@@ -102,7 +92,7 @@ class TdmWriter:
     def header(self) -> bytes:
         """Return what stands before the first segment."""
         message = self._message
-        return message_header(_VERSION, message.created_at_us, message.originator, message.message_id)
+        return ccsds.message_header(_VERSION, message.created_at_us, message.originator, message.message_id)
 
     def segments(self, pages: Iterable[Sequence[Measurement]]) -> Iterator[bytes]:
         """Yield the segments of rows that come in order of epoch, one stretch of rows held at a time."""
@@ -138,7 +128,7 @@ class TdmWriter:
                 yield self._segment(block, position, quality, np.flatnonzero(rows))
 
     def _segment(self, block: _Block, position: int, quality: str, rows: IntArray) -> bytes:
-        epochs = epoch_texts(block.epochs_us[rows])
+        epochs = ccsds.epoch_texts(block.epochs_us[rows])
         # the stored float32 in dBm has few digits; 30 dB less are taken from its shortest decimal, not from its bits
         powers = [float(text) - DBM_OF_DBW for text in text_of_float32(block.power_dbm[rows, position])]
         densities = text_of_float32(block.c_n0_db_hz[rows, position])
@@ -149,25 +139,25 @@ class TdmWriter:
                 data.append(f"PC_N0 = {epoch} {density}")
         types = "CARRIER_POWER,PC_N0" if any(densities) else "CARRIER_POWER"
         meta = self._meta(block, position, quality, (epochs[0], epochs[-1]), types)
-        return as_bytes([*meta, "DATA_START", *data, "DATA_STOP"])
+        return ccsds.as_bytes([*meta, "DATA_START", *data, "DATA_STOP"])
 
     def _meta(self, block: _Block, position: int, quality: str, span: tuple[str, str], types: str) -> list[str]:
         carrier = block.carriers[position]
         return [
             "META_START",
-            comment(f"carrier={carrier.id} name={carrier.name or carrier.id} transponder={carrier.transponder}"),
-            comment(f"downlink_hz={carrier.downlink_hz:.0f} bandwidth_hz={carrier.bandwidth_hz:.0f}"),
-            comment("time tags are the middle of the dwell"),
-            line("TRACK_ID", f"{block.source}/{carrier.id}"),
+            ccsds.comment(f"carrier={carrier.id} name={carrier.name or carrier.id} transponder={carrier.transponder}"),
+            ccsds.comment(f"downlink_hz={carrier.downlink_hz:.0f} bandwidth_hz={carrier.bandwidth_hz:.0f}"),
+            ccsds.comment("time tags are the middle of the dwell"),
+            ccsds.line("TRACK_ID", f"{block.source}/{carrier.id}"),
             f"DATA_TYPES = {types}",
             "TIME_SYSTEM = UTC",
             f"START_TIME = {span[0]}",
             f"STOP_TIME = {span[1]}",
-            line("PARTICIPANT_1", self._message.spacecraft),
-            line("PARTICIPANT_2", self._message.receiving_site),
+            ccsds.line("PARTICIPANT_1", self._message.spacecraft),
+            ccsds.line("PARTICIPANT_2", self._message.receiving_site),
             "MODE = SEQUENTIAL",
             "PATH = 1,2",
-            line("RECEIVE_BAND", carrier.band.upper()),
+            ccsds.line("RECEIVE_BAND", carrier.band.upper()),
             "TIMETAG_REF = RECEIVE",
             f"DATA_QUALITY = {quality}",
             "META_STOP",
@@ -222,7 +212,7 @@ def read_tdm(text: str) -> tuple[PowerTrack, ...]:
         ``ccsds.malformed`` with the line, ``ccsds.unsupported`` with the keyword.
     """
     tracks = []
-    for segment in read_segments(text, _VERSION):
+    for segment in ccsds.read_segments(text, _VERSION):
         meta = segment.meta
         if meta.get("CORRECTIONS_APPLIED", "YES").upper() == "NO":
             stated = ", ".join(f"{name} = {value}" for name, value in meta.items() if name.startswith("CORRECTION_"))
@@ -231,13 +221,15 @@ def read_tdm(text: str) -> tuple[PowerTrack, ...]:
         powers: dict[int, float] = {}
         densities: dict[int, float] = {}
         for number, content in segment.data:
-            keyword, value = keyword_and_value(number, content)
+            keyword, value = ccsds.keyword_and_value(number, content)
             if keyword == "CARRIER_POWER":
                 epoch_us, power_dbw = _observation(number, value)
                 power_dbm = round(power_dbw + DBM_OF_DBW, _DECIMALS)
                 if powers.setdefault(epoch_us, power_dbm) != power_dbm:
                     first = powers[epoch_us] - DBM_OF_DBW
-                    raise malformed(number, f"a second power of {value.split()[0]}: {first:g} and {power_dbw:g} dBW")
+                    raise ccsds.malformed(
+                        number, f"a second power of {value.split()[0]}: {first:g} and {power_dbw:g} dBW"
+                    )
             elif keyword == "PC_N0":
                 epoch_us, density = _observation(number, value)
                 densities[epoch_us] = density
@@ -260,7 +252,7 @@ def _observation(number: int, value: str) -> tuple[int, float]:
     try:
         power_dbw = float(text)
     except ValueError as error:
-        raise malformed(number, "a line of data is KEYWORD = epoch value") from error
+        raise ccsds.malformed(number, "a line of data is KEYWORD = epoch value") from error
     if not np.isfinite(power_dbw):
-        raise malformed(number, f"{text.strip()} is no power")
-    return epoch_of(number, epoch), power_dbw
+        raise ccsds.malformed(number, f"{text.strip()} is no power")
+    return ccsds.epoch_of(number, epoch), power_dbw

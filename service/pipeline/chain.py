@@ -21,10 +21,14 @@ import numpy as np
 
 from service.pipeline.checkpoints import ChainState
 from service.pipeline.config import ChainConfig
-from service.pipeline.control.command.balance import basis_at, basis_of, with_executed
-from service.pipeline.control.command.compute_command import NO_CARRY, compute_command
-from service.pipeline.control.command.control_design import is_gyro_orbitant
-from service.pipeline.control.command.schedule_check import PanelSwing, swing_after
+from service.pipeline.control.command.compute_command import (
+    NO_CARRY,
+    basis_at,
+    basis_of,
+    compute_command,
+    with_executed,
+)
+from service.pipeline.control.command.control_design import PanelSwing, is_gyro_orbitant, swing_after
 from service.pipeline.estimation.method import (
     CarrierLevels,
     CommandEvidence,

@@ -17,7 +17,7 @@ from service.core.estimation.filtering.readings import READING
 from service.core.estimation.paper.downlink_fade import FADE
 from service.core.estimation.paper.row import COUNTERS, LEVEL, PENDING
 from service.pipeline.config import ChainConfig
-from service.pipeline.control.command.schedule_check import PanelSwing
+from service.pipeline.control.command.control_design import PanelSwing
 from service.pipeline.estimation.paper.runner import SavedPaper
 from service.pipeline.estimation.robust.robust_state import SavedRobust
 from service.pipeline.estimation.row_inhibitions import Disagreement

@@ -5,8 +5,7 @@ from typing import NamedTuple, Protocol
 
 from service.ports.archive import Archive, ListPart, Results
 from service.records.catalogue import Carrier, CarrierPlan, Ephemeris, Spacecraft
-from service.records.levels.measurement import Whereabouts
-from service.records.levels.sweep import KeptTrace, Ring, Trace, TraceHead, TraceReceipt
+from service.records.levels.measurement import KeptTrace, Ring, Trace, TraceHead, TraceReceipt, Whereabouts
 from service.records.operations.access import (
     AccessKey,
     AuditEntry,

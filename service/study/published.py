@@ -1,8 +1,10 @@
 """Published figures and statements beside what the product makes of them, one row each."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from enum import StrEnum
+from typing import Any
 
 COLUMNS = ("figure", "parameters", "paper", "reproduced", "ratio", "verdict")
 
@@ -34,11 +36,15 @@ class Row:
     statement: str = ""
     #: not reproduced, and the page of the study says why
     is_known_miss: bool = False
+    #: that are shown of the reproduced figure
+    digits: int = 4
 
     @property
     def ratio(self) -> float | None:
-        """Reproduced over published; None without a published figure."""
-        return self.reproduced / self.published if self.published else None
+        """Reproduced over published; None without a published figure. Both may be infinite."""
+        if not self.published:
+            return None
+        return 1.0 if self.reproduced == self.published else self.reproduced / self.published
 
     @property
     def is_surprising(self) -> bool:
@@ -50,9 +56,18 @@ class Row:
         """Return the row as the cells of a line."""
         unit = f" {self.unit}" if self.unit else ""
         bound = "<= " if self.is_bound else ""
-        printed = self.statement if self.published is None else f"{bound}{self.published:.6g}{unit}"
-        ratio = "-" if self.ratio is None else f"{self.ratio:.2f}"
-        return (self.what, self.parameters, printed, f"{self.reproduced:.4g}{unit}", ratio, self.verdict.value)
+        figure = "" if self.published is None else f"{bound}{self.published:.{max(6, self.digits)}g}{unit}"
+        ratio = "-" if self.ratio is None else f"{self.ratio:.{self.digits - 2}f}"
+        found = f"{self.reproduced:.{self.digits}g}{unit}"
+        return (self.what, self.parameters, figure or self.statement, found, ratio, self.verdict.value)
+
+    def document(self) -> dict[str, Any]:
+        """Return the row fit for JSON; infinite and missing numbers are null."""
+        members = {**asdict(self), "ratio": self.ratio}
+        return {
+            name: None if isinstance(value, float) and not math.isfinite(value) else value
+            for name, value in members.items()
+        }
 
 
 def row(
@@ -66,12 +81,17 @@ def row(
     within: float = 0.0,
     is_fitted: bool = False,
     is_known_miss: bool = False,
+    digits: int = 4,
 ) -> Row:
     """Return the row of a published figure; ``within`` is the rounding of the print or the error to be expected."""
     is_met = reproduced <= published if is_bound else abs(reproduced - published) <= within
+    # both may be infinite
+    is_met = is_met or reproduced == published
     met = Agreement.FITTED if is_fitted else Agreement.REPRODUCED
     verdict = met if is_met else Agreement.NOT_REPRODUCED
-    return Row(what, parameters, published, is_bound, reproduced, unit, verdict, is_known_miss=is_known_miss)
+    return Row(
+        what, parameters, published, is_bound, reproduced, unit, verdict, is_known_miss=is_known_miss, digits=digits
+    )
 
 
 def statement_row(
@@ -91,7 +111,11 @@ def statement_row(
     return Row(what, parameters, None, False, reproduced, unit, verdict, statement, is_known_miss)
 
 
-def markdown(rows: Sequence[Row]) -> str:
-    """Return the table of a page."""
-    lines = [f"| {' | '.join(COLUMNS)} |", f"|{'---|' * len(COLUMNS)}"]
-    return "\n".join([*lines, *(f"| {' | '.join(one.cells)} |" for one in rows)]) + "\n"
+def markdown(tables: Mapping[str, Sequence[Row]]) -> str:
+    """Return tables as sections of a page; a single one stands without its title."""
+    lines = []
+    for title, rows in tables.items():
+        lines += [f"### {title}", ""] if len(tables) > 1 else []
+        lines += [f"| {' | '.join(COLUMNS)} |", f"|{'---|' * len(COLUMNS)}"]
+        lines += [*(f"| {' | '.join(one.cells)} |" for one in rows), ""]
+    return "\n".join(lines)

@@ -370,7 +370,7 @@ async def test_settings_are_shown_without_secrets(tmp_path, monkeypatch):
     ],
 )
 async def test_a_url_is_shown_without_what_it_hides(url, expected):
-    from service.composition.setting_entries import setting_entries
+    from service.composition.settings import setting_entries
 
     entries = setting_entries(Settings(database_url=url))
     assert next(entries).value == expected

@@ -12,7 +12,7 @@ import pytest
 from service.api.access.auth import BASE_PATH
 from service.api.context import MonitoringSettings
 from service.api.limits.rate_limits import RateLimitConfig, RateLimits, class_of
-from service.api.monitoring.readiness import SharedReadiness
+from service.api.monitoring.metrics import SharedReadiness
 from service.api.routes import PUBLIC_ROUTERS, ROUTERS
 from service.records.operations.access import Role
 

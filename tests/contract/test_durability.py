@@ -23,8 +23,7 @@ from service.records.calibration import Window
 from service.records.catalogue import Method, Site, Spacecraft
 from service.records.inputs import Correction, Operation
 from service.records.levels.attitude import Axes
-from service.records.levels.measurement import CarrierDetails
-from service.records.levels.sweep import Ring, Trace, TraceSettings
+from service.records.levels.measurement import CarrierDetails, Ring, Trace, TraceSettings
 from service.records.operations.alarms import AlarmChange, ChangeKind, EngineMemory
 from service.records.operations.release import ReleaseChange
 from service.records.operations.work import LinkReport

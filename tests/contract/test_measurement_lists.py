@@ -21,8 +21,7 @@ from service.records.calibration import Window
 from service.records.catalogue import Method
 from service.records.inputs import AttitudeReference, Operation
 from service.records.levels.attitude import Axes
-from service.records.levels.measurement import CarrierDetails
-from service.records.levels.sweep import Ring, Trace, TraceSettings
+from service.records.levels.measurement import CarrierDetails, Ring, Trace, TraceSettings
 from service.records.operations.access import AuditFilter
 from service.records.operations.alarms import AlarmChange, ChangeKind, Note
 from service.records.operations.release import ReleaseChange

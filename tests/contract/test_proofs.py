@@ -31,8 +31,7 @@ from service.records.inputs import (
     WeatherReport,
 )
 from service.records.levels.attitude import Axes
-from service.records.levels.measurement import CarrierDetails, Sender
-from service.records.levels.sweep import Ring, Trace, TraceSettings
+from service.records.levels.measurement import CarrierDetails, Ring, Sender, Trace, TraceSettings
 from service.records.operations.alarms import AlarmChange, ChangeKind, Note
 from service.records.operations.release import ProductForm, ReleaseChange, UplinkProduct
 from service.records.storage import BackupError, Checkpoint, worst

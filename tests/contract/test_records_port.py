@@ -25,8 +25,7 @@ from service.records.inputs import (
     WeatherReport,
 )
 from service.records.levels.attitude import NO_ANGLES, AppliedCommand, Axes
-from service.records.levels.measurement import Measurement
-from service.records.levels.sweep import Ring, Trace, TraceReceipt, TraceSettings
+from service.records.levels.measurement import Measurement, Ring, Trace, TraceReceipt, TraceSettings
 from service.records.operations.work import LinkReport, LinkWarning
 
 NAN = float("nan")

@@ -17,6 +17,7 @@ from pydantic import BaseModel
 from release_ground import ReleaseGround, record, seed_archive
 
 from analyzer_sim.__main__ import main
+from docs.reference_pages import acquisition_diagram, acquisition_page
 from service.api.monitoring.metrics import FAMILIES, MAX_CARRIERS, MAX_LINKS, MAX_SOURCES, MAX_SPACECRAFT
 from service.api.schemas.catalogue import CarrierDocument
 from service.api.views.present import SILENT
@@ -27,14 +28,11 @@ from service.frontend.acquisition.states import (
     TRANSITIONS,
     AcquisitionEvent,
     AcquisitionState,
-    diagram,
-    reference_page,
 )
 from service.frontend.drivers.dialects import DIALECTS, SINGLE, Dialect
 from service.frontend.link_report import RUNNING, SERVICE_AWAY
 from service.frontend.measurement_task import MeasurementTask, parse_task
-from service.frontend.tasks.station_file import load_station
-from service.frontend.tasks.task_plan import plan_task
+from service.frontend.tasks.task_plan import load_station, plan_task
 from service.records.operations.work import STOPPED
 
 AXES = ("yaw", "roll", "pitch")
@@ -325,18 +323,20 @@ def run(block: str, environment: dict[str, str], folder: Path) -> str:
 
 
 def test_page_of_states_is_the_table() -> None:
-    assert STATES.read_text() == reference_page()
+    assert STATES.read_text() == acquisition_page()
 
 
 def test_page_of_states_names_every_state_and_event_and_draws_every_change() -> None:
-    page = reference_page()
+    page = acquisition_page()
     assert set(ACTIONS) == set(AcquisitionState)
     assert set(MEANINGS) == set(AcquisitionEvent)
     assert all(f"| {state.name} |" in page for state in AcquisitionState)
     for state, row in TRANSITIONS.items():
         for event, target in row.items():
             if target is not state:
-                (line,) = [each for each in diagram().splitlines() if f"{state.name} --> {target.name}:" in each]
+                (line,) = [
+                    each for each in acquisition_diagram().splitlines() if f"{state.name} --> {target.name}:" in each
+                ]
                 assert event.name in line
 
 

@@ -19,20 +19,17 @@ from typer.testing import CliRunner
 
 from analyzer_sim.__main__ import build_parser
 from analyzer_sim.serving import FAULT_NAMES
+from docs import reference_pages
+from docs.client_types import TYPES, client_types
 from service.cli.app import app
-from service.cli.client_types import TYPES, client_types
-from service.cli.settings_reference import settings_markdown
+from service.cli.reference import settings_markdown
 from service.client import documents
-from service.composition.setting_entries import setting_entries
-from service.composition.settings import Settings
+from service.composition.settings import Settings, setting_entries
 from service.core.estimation.filtering.row_block import EXCLUSIONS
 from service.core.geometry.frames import AntennaDirection
 from service.pipeline.alarms.conditions import condition_table
-from service.pipeline.alarms.reference_page import reference_page
-from service.pipeline.alarms.states import diagram
 from service.pipeline.config import AlarmConfig, RobustConfig
 from service.pipeline.control.command.control_design import CONTROL_INHIBITIONS
-from service.pipeline.control.release import reference_page as release_page
 from service.pipeline.control.release.command_states import (
     COMMAND_TRANSITIONS,
     REFUSALS,
@@ -55,10 +52,8 @@ PAGE = ROOT / "docs" / "reference" / "alarms.md"
 
 
 def test_the_page_is_drawn_from_the_tables() -> None:
-    assert PAGE.read_text() == reference_page(), (
-        "run: python -m service.pipeline.alarms.reference_page > docs/reference/alarms.md"
-    )
-    assert diagram() in PAGE.read_text()
+    assert PAGE.read_text() == reference_pages.alarms_page(), "run: python -m docs.reference_pages"
+    assert reference_pages.alarm_diagram() in PAGE.read_text()
 
 
 def test_every_condition_and_every_change_stands_on_the_page() -> None:
@@ -235,11 +230,11 @@ def test_a_row_has_four_cells() -> None:
 
 
 def test_page_is_the_tables() -> None:
-    assert (ROOT / "docs/reference/interlock.md").read_text() == release_page.reference_page()
+    assert (ROOT / "docs/reference/interlock.md").read_text() == reference_pages.interlock_page()
 
 
 def test_page_names_everything() -> None:
-    page = release_page.reference_page()
+    page = reference_pages.interlock_page()
     for name in (*State, *Trigger, *CommandState, *CommandTransition):
         assert f"| `{name.name}` |" in page
     assert all(f"| `{condition.word}` |" in page for condition in Condition)
@@ -249,12 +244,12 @@ def test_page_names_everything() -> None:
 def test_diagrams_draw_every_change() -> None:
     for row in TRANSITIONS:
         if row.source is not row.target:
-            lines = release_page.interlock_diagram().splitlines()
+            lines = reference_pages.interlock_diagram().splitlines()
             (line,) = [each for each in lines if f" {row.source.name} --> {row.target.name}:" in each]
             assert row.trigger.name in line
     for life, turns in COMMAND_TRANSITIONS.items():
         for turn, target in turns.items():
-            assert f"    {life.name} --> {target.name}: {turn.name}" in release_page.command_diagram().splitlines()
+            assert f"    {life.name} --> {target.name}: {turn.name}" in reference_pages.command_diagram().splitlines()
 
 
 def test_every_order_that_may_fail_has_a_code_and_every_guard_a_row() -> None:

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from service.pipeline.alarms.alarm_engine import AlarmEngine, Readings
-from service.pipeline.alarms.limit_sets import AlarmContext
+from service.pipeline.alarms.conditions import AlarmContext
 from service.pipeline.alarms.states import AlarmCondition, Kind, Origin
 from service.records.operations.alarms import ChangeKind, ConditionLimits, Cover, EngineMemory, Handling, Process
 

@@ -15,9 +15,10 @@ from service.core.geometry.line_of_sight import node_phase_rad
 from service.records.levels.attitude import Axes
 from service.study.closed_loop import run
 from service.study.closed_loop.controllers import LEAD_S, ByTruth, Sensing
-from service.study.closed_loop.merit import UNKNOWN_TORQUE_SCENARIOS, group_merit, run_merit
 from service.study.closed_loop.plant_process import SpacecraftTruth
-from service.study.demonstration.merit import AXES, judge_axis, missed_bounds
+from service.study.closed_loop.run import UNKNOWN_TORQUE_SCENARIOS, group_merit, run_merit
+from service.study.demonstration.control_centre import AXES
+from service.study.demonstration.judgement import judge_axis, missed_figures
 from service.study.estimation.flight.drive import drive
 from service.study.estimation.flight.world import read_world
 
@@ -43,7 +44,7 @@ def test_the_demonstration_meets_its_bounds_and_the_answer_that_never_moves_does
         figures = " ".join(f"{name} {value:.3f}" for name, value in merit._asdict().items())
         print(f"seed {seed} {axis}: {figures}")
     # the demonstration's own bounds: rms .08 and .10 deg, slope 1 +- .15, truth rms .12 deg on each axis
-    assert missed_bounds(merits, "paper") == []
+    assert missed_figures(merits, "paper") == []
     _zero_misses(day)
     _sigma_is_honest(day, seed)
     _commands_agree_with_rows(day, seed)
@@ -51,7 +52,7 @@ def test_the_demonstration_meets_its_bounds_and_the_answer_that_never_moves_does
 
 def _zero_misses(day):
     """The answer 0/0/0 has neither slope nor rms."""
-    missed = missed_bounds(judge(np.zeros_like(day.truth_deg), day.truth_deg), "paper")
+    missed = missed_figures(judge(np.zeros_like(day.truth_deg), day.truth_deg), "paper")
     assert [text.split(" ")[:2] for text in missed] == [
         ["roll", "rms"],
         ["roll", "slope"],
@@ -94,9 +95,9 @@ def test_the_robust_method_meets_its_bounds_in_the_demonstrations_world(tmp_path
     truth = world.truth.attitude_deg[driven.rows]
     merits = judge(driven.methods["robust"].estimate_deg, truth)
     print({axis: tuple(round(float(value), 3) for value in merit) for axis, merit in merits.items()})
-    assert missed_bounds(merits, "robust") == []
+    assert missed_figures(merits, "robust") == []
     zeros = judge(np.zeros_like(truth), truth)
-    assert {text.split(" ")[0] for text in missed_bounds(zeros, "robust")} == {"yaw", "roll", "pitch"}
+    assert {text.split(" ")[0] for text in missed_figures(zeros, "robust")} == {"yaw", "roll", "pitch"}
 
 
 SEED = 2

@@ -32,8 +32,7 @@ from service.core.estimation.observability import averaged_crlb_deg, judge_set
 from service.core.estimation.paper.selection import select_by_axis
 from service.pipeline.inputs.knowledge import JournalDocuments
 from service.pipeline.planning.assumed_beams import NOISES
-from service.pipeline.planning.candidates import candidates_of
-from service.pipeline.planning.planning import Rule, recommend
+from service.pipeline.planning.planning import Rule, candidates_of, recommend
 from service.study.estimation.bounds import measure_accuracy
 from service.study.estimation.flight.drive import calibrate, drive
 from service.study.estimation.flight.world import simulated_world

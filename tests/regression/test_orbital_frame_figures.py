@@ -36,7 +36,7 @@ from service.core.dynamics.orbital_frame_model import (
     RateSensor,
     rigid_spacecraft,
 )
-from service.study.orbital_frame.reproduction import reproduce
+from service.study.orbital_frame import reproduce
 
 ORBIT_S = 2.0 * math.pi / ORBITAL_RATE_RAD_S
 Fly = Callable[..., FlightRecord]

@@ -197,7 +197,7 @@ _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 
 def test_costly_modules_are_not_loaded_by_a_service_without_work():
     code = (
-        "import sys; import service.__main__, service.composition.bootstrap, service.cli.administration.serve;"
+        "import sys; import service.__main__, service.composition.bootstrap, service.cli.administration.server;"
         "import service.api.server_process;"
         f"print(*[name for name in {COSTLY!r} if name in sys.modules])"
     )

@@ -3,26 +3,7 @@
 from dataclasses import replace
 
 from analyzer_sim.epochs import epoch_us_from_text
-from analyzer_sim.world.scenario.events import (
-    Burn,
-    ChainStep,
-    DownlinkRain,
-    Eclipse,
-    FalseReport,
-    Fault,
-    GroupStep,
-    Hold,
-    PlanChange,
-    Relevel,
-    Showers,
-    Step,
-    Storm,
-    SunOutage,
-    SwitchOff,
-    UplinkRain,
-    Weather,
-    WeatherSystem,
-)
+from analyzer_sim.world.scenario import events
 from analyzer_sim.world.scenario.story import (
     TURNS_H,
     KeepingErrors,
@@ -49,7 +30,7 @@ FLICKER_NOISE = NoiseStatistics(
 )
 #: days near an equinox, when the spacecraft passes the Earth's shadow and the Sun passes behind it
 _EQUINOX_US = epoch_us_from_text("2026-09-18T00:00:00Z")
-_STORMS = Storm("storms", 5)
+_STORMS = events.Storm("storms", 5)
 _DAYS_BETWEEN = 30
 _NOT_COUPLED = KeepingErrors(is_coupled=False, is_coupling_announced=False)
 
@@ -79,8 +60,8 @@ HARD: tuple[Scenario, ...] = (
         "yaw_hold",
         "Yaw is turned by +0.4, later by -0.4 deg for six hours without notice; all other corrections are announced.",
         manoeuvres=(
-            Hold(8.0, 6.0, 40.0, yaw_deg=0.4, is_announced=False, is_balance_announced=True),
-            Hold(27.0, 6.0, 40.0, yaw_deg=-0.4, is_announced=False, is_balance_announced=True),
+            events.Hold(8.0, 6.0, 40.0, yaw_deg=0.4, is_announced=False, is_balance_announced=True),
+            events.Hold(27.0, 6.0, 40.0, yaw_deg=-0.4, is_announced=False, is_balance_announced=True),
         ),
     ),
     Scenario(
@@ -89,8 +70,8 @@ HARD: tuple[Scenario, ...] = (
         plan="ku16_changed",
         pause_h=24.0 * _DAYS_BETWEEN,
         faults=(
-            Relevel("new levels", -1.0),
-            PlanChange("new plan", -1.0, gone=("c06", "c13"), new=("c16", "c17")),
+            events.Relevel("new levels", -1.0),
+            events.PlanChange("new plan", -1.0, gone=("c06", "c13"), new=("c16", "c17")),
         ),
     ),
     Scenario(
@@ -98,15 +79,15 @@ HARD: tuple[Scenario, ...] = (
         "Two nights with an eclipse: gains fall by 0.2-0.5 dB, the reflector bends by 0.02-0.05 deg.",
         start_us=_EQUINOX_US,
         # operation begins at 09:30; the shadow is crossed around 17:53, midnight at 90 deg East
-        faults=(Eclipse("first night", (7.8, 7.9)), Eclipse("second night", (31.8, 31.9))),
+        faults=(events.Eclipse("first night", (7.8, 7.9)), events.Eclipse("second night", (31.8, 31.9))),
     ),
     Scenario(
         "sun_outage",
         "On two days the Sun stands behind the satellite: noise up by 3-10 dB for at most a quarter of an hour.",
         start_us=epoch_us_from_text("2026-10-08T00:00:00Z"),
         faults=(
-            SunOutage("first day", (19.9, 20.0)),
-            SunOutage("second day", (43.9, 44.0)),
+            events.SunOutage("first day", (19.9, 20.0)),
+            events.SunOutage("second day", (43.9, 44.0)),
         ),
     ),
     Scenario(
@@ -114,22 +95,22 @@ HARD: tuple[Scenario, ...] = (
         "One transponder holds its total power, so that its carriers move one another; rain and steps on them.",
         repeater=RepeaterSettings(alc_transponders=("Ku3",)),
         faults=(
-            UplinkRain("showers", 4, ("c08", "c09", "c10", "c11"), start_h=(2.0, 44.0), depth_db=(2.0, 6.0)),
-            Step("steps", 2, ("c11", "c09"), start_h=(6.0, 40.0)),
-            SwitchOff("carrier off", ("c10",), start_h=(20.0, 26.0)),
+            events.UplinkRain("showers", 4, ("c08", "c09", "c10", "c11"), start_h=(2.0, 44.0), depth_db=(2.0, 6.0)),
+            events.Step("steps", 2, ("c11", "c09"), start_h=(6.0, 40.0)),
+            events.SwitchOff("carrier off", ("c10",), start_h=(20.0, 26.0)),
         ),
     ),
     Scenario(
         "upc",
         "One station steers its power by what comes back, and the catalogue says so.",
         repeater=RepeaterSettings(power_controlled=("c04",)),
-        faults=(UplinkRain("showers", 3, ("c04",), start_h=(3.0, 40.0)),),
+        faults=(events.UplinkRain("showers", 3, ("c04",), start_h=(3.0, 40.0)),),
     ),
     Scenario(
         "upc_untold",
         "One station steers its power by what comes back, and the catalogue does not know.",
         repeater=RepeaterSettings(power_controlled=("c04",), is_power_control_announced=False),
-        faults=(UplinkRain("showers", 3, ("c04",), start_h=(3.0, 40.0)),),
+        faults=(events.UplinkRain("showers", 3, ("c04",), start_h=(3.0, 40.0)),),
     ),
     Scenario(
         "no_coupling",
@@ -140,19 +121,19 @@ HARD: tuple[Scenario, ...] = (
         "burn",
         "Station keeping in both directions disturbs the attitude; the ephemeris is void for six hours.",
         burns=(
-            Burn(
+            events.Burn(
                 "station keeping", (20.0, 20.0), drift_deg_day=(0.005, 0.012), attitude_uncertainty_deg=(0.2, 0.1, 0.1)
             ),
         ),
-        manoeuvres=(Hold(20.1, 0.6, 10.0, yaw_deg=0.12, roll_deg=0.07, pitch_deg=-0.06, is_announced=False),),
+        manoeuvres=(events.Hold(20.1, 0.6, 10.0, yaw_deg=0.12, roll_deg=0.07, pitch_deg=-0.06, is_announced=False),),
     ),
     Scenario(
         "works",
         "Declared work: carriers off the air, a transponder's gain changed, the receiving chain switched over.",
         faults=(
-            SwitchOff("carriers off", ("c05", "c11"), (6.0, 10.0), (2.0, 4.0), (-1.0, 1.5), is_announced=True),
-            GroupStep("gain", start_h=(18.0, 24.0), is_announced=True),
-            ChainStep("switch-over", (32.0, 38.0), (-3.0, -1.0), is_announced=True),
+            events.SwitchOff("carriers off", ("c05", "c11"), (6.0, 10.0), (2.0, 4.0), (-1.0, 1.5), is_announced=True),
+            events.GroupStep("gain", start_h=(18.0, 24.0), is_announced=True),
+            events.ChainStep("switch-over", (32.0, 38.0), (-3.0, -1.0), is_announced=True),
         ),
     ),
 )
@@ -162,7 +143,7 @@ HARD: tuple[Scenario, ...] = (
 _POLARIZED = Scenario(
     "polarized",
     "As nominal; a polarimeter reports each row: leakage, its day and wander, Faraday rotation, a shower.",
-    faults=(DownlinkRain("site shower", (6.0, 40.0), (2.0, 4.0), (0.05, 0.3), (30.0, 90.0)),),
+    faults=(events.DownlinkRain("site shower", (6.0, 40.0), (2.0, 4.0), (0.05, 0.3), (30.0, 90.0)),),
     polarimeter=PolarimeterFigures(),
 )
 
@@ -223,13 +204,13 @@ LINK_NOISE = NoiseStatistics(
 )
 #: an operator who knew the truth would give it away: in weather his error is less than that of any filter of powers
 _STEERED = KeepingErrors(is_steered_by_powers=True)
-_FAR = Weather("weather")
+_FAR = events.Weather("weather")
 #: hours from the start of operation at which turns and alignment begin
 _ALIGNMENT_H = -1.0
 _TURNS_H = _ALIGNMENT_H - TURNS_H
 
 
-def _weather(name: str, summary: str, *faults: Fault) -> Scenario:
+def _weather(name: str, summary: str, *faults: events.Fault) -> Scenario:
     return Scenario(name, summary, noise=LINK_NOISE, keeping=_STEERED, faults=faults)
 
 
@@ -244,13 +225,13 @@ WEATHER: tuple[Scenario, ...] = (
         "weather_turns",
         "As weather_far; a further system stands over half of the stations during the calibration turns.",
         _FAR,
-        WeatherSystem("storm of the turns", (_TURNS_H - 1.0, _TURNS_H), (TURNS_H, TURNS_H + 1.0), 0.5),
+        events.WeatherSystem("storm of the turns", (_TURNS_H - 1.0, _TURNS_H), (TURNS_H, TURNS_H + 1.0), 0.5),
     ),
     _weather(
         "weather_alignment",
         "As weather_far; a shower passes over a quarter of the stations during the alignment.",
         _FAR,
-        Showers("showers of the alignment", (_ALIGNMENT_H, _ALIGNMENT_H + 0.5), 0.25),
+        events.Showers("showers of the alignment", (_ALIGNMENT_H, _ALIGNMENT_H + 0.5), 0.25),
     ),
     _weather(
         "weather_wet_season",
@@ -266,7 +247,7 @@ _TRIPLE_DRIFT_DEG_H = (3.0 * _PLAIN_DRIFT_DEG_H[0], 3.0 * _PLAIN_DRIFT_DEG_H[1],
 
 def _false_reports(name: str, executed_share: float, command: str) -> Scenario:
     """Return two days with two slews of 0.15 deg an axis of which the spacecraft does only a share."""
-    reports = tuple(FalseReport(f"slew {day}", 9.0 + 21.0 * day, executed_share) for day in range(2))
+    reports = tuple(events.FalseReport(f"slew {day}", 9.0 + 21.0 * day, executed_share) for day in range(2))
     summary = (
         f"Twice in two days, for two hours, announced corrections of 0.15 deg an axis are {command} by the spacecraft."
     )

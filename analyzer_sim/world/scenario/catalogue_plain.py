@@ -5,22 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from analyzer_sim.streams import stream
-from analyzer_sim.world.scenario.events import (
-    Burn,
-    ChainStep,
-    DownlinkRain,
-    Gap,
-    GroupStep,
-    Hold,
-    Interference,
-    PatternWave,
-    PlanChange,
-    SourceSwitch,
-    Step,
-    SwitchOff,
-    Tour,
-    UplinkRain,
-)
+from analyzer_sim.world.scenario import events
 from analyzer_sim.world.scenario.story import KeepingErrors, NoiseStatistics, ResidualTorque, Scenario
 from analyzer_sim.world.sensors import EARTH_SENSOR, RADIO_BEACON
 
@@ -56,7 +41,7 @@ CLOSED: tuple[Scenario, ...] = (
         "Roll and pitch begin 0.35 deg off; 20 min into the slew to zero all carriers fade by 2 dB for an hour.",
         keeping=KeepingErrors(alignment_deg=(0.0, SLEW_DEG, SLEW_DEG)),
         operation_h=12.0,
-        faults=(DownlinkRain("downlink rain", (1.0 / 3.0, 1.0 / 3.0), (2.0, 2.0), (0.3, 0.3), (60.0, 60.0)),),
+        faults=(events.DownlinkRain("downlink rain", (1.0 / 3.0, 1.0 / 3.0), (2.0, 2.0), (0.3, 0.3), (60.0, 60.0)),),
     ),
     Scenario(
         "unknown_residual_constant",
@@ -78,14 +63,14 @@ CLOSED: tuple[Scenario, ...] = (
 ALL16 = tuple(f"c{number:02d}" for number in range(16))
 #: attitude kept closely enough for an announced tour to stay within 0.42 deg
 _CLOSE_KEEPING = KeepingErrors(knowledge_deg=(0.018, 0.012, 0.014), feedback_tau_s=0.5 * 3600.0, scale_error=0.01)
-_TOUR = Tour("tour")
+_TOUR = events.Tour("tour")
 
 
 def downlink_rain(
     slope_db_min: float, depth_db: float, duration_min: float = 60.0, name: str = "downlink_rain"
 ) -> Scenario:
     """Return two days with one rain over the receiving site of this slope and depth."""
-    rain = DownlinkRain(
+    rain = events.DownlinkRain(
         "downlink rain",
         depth_db=(depth_db, depth_db),
         slope_db_min=(slope_db_min, slope_db_min),
@@ -106,7 +91,7 @@ PLAIN: tuple[Scenario, ...] = (
         keeping=_CLOSE_KEEPING,
         manoeuvres=(_TOUR,),
         faults=(
-            UplinkRain(
+            events.UplinkRain(
                 "mild rain",
                 3,
                 ("c02", "c07", "c13"),
@@ -114,7 +99,7 @@ PLAIN: tuple[Scenario, ...] = (
                 slope_db_min=(0.05, 0.3),
                 start_h=(3.0, 40.0),
             ),
-            SwitchOff("carrier off", ("c05",), start_h=(12.0, 14.0), duration_h=(4.0, 6.0)),
+            events.SwitchOff("carrier off", ("c05",), start_h=(12.0, 14.0), duration_h=(4.0, 6.0)),
         ),
     ),
     Scenario(
@@ -123,8 +108,8 @@ PLAIN: tuple[Scenario, ...] = (
         keeping=_CLOSE_KEEPING,
         manoeuvres=(replace(_TOUR, yaw_deg=(0.1, 0.4), roll_deg=(0.1, 0.4), pitch_deg=(0.1, 0.4)),),
     ),
-    Scenario("steps", "Six users change their level for good.", faults=(Step("steps", 6),)),
-    Scenario("uplink_rain", "Ten showers over users' stations.", faults=(UplinkRain("showers", 10),)),
+    Scenario("steps", "Six users change their level for good.", faults=(events.Step("steps", 6),)),
+    Scenario("uplink_rain", "Ten showers over users' stations.", faults=(events.UplinkRain("showers", 10),)),
     downlink_rain(0.1, 3.0),
     *(downlink_rain(slope, depth, name=f"downlink_rain_{slope:g}".replace(".", "p")) for slope, depth in _RAINS),
     Scenario(
@@ -132,14 +117,14 @@ PLAIN: tuple[Scenario, ...] = (
         "Four days with every kind of fault.",
         operation_h=96.0,
         faults=(
-            UplinkRain("showers", 8, start_h=(1.0, 94.0)),
-            DownlinkRain("downlink rain", (20.0, 40.0), (1.5, 5.0), (0.03, 0.5), (30.0, 150.0)),
-            Step("steps", 4, start_h=(1.0, 94.0)),
-            SwitchOff("carrier off", start_h=(10.0, 80.0), level_after_db=(-1.0, 1.5)),
-            GroupStep("transponder", start_h=(45.0, 70.0)),
-            ChainStep("recalibration", (75.0, 85.0), (-0.6, 0.6)),
-            Interference("interference", 2, start_h=(1.0, 90.0)),
-            Gap("gap", 2, start_h=(5.0, 90.0)),
+            events.UplinkRain("showers", 8, start_h=(1.0, 94.0)),
+            events.DownlinkRain("downlink rain", (20.0, 40.0), (1.5, 5.0), (0.03, 0.5), (30.0, 150.0)),
+            events.Step("steps", 4, start_h=(1.0, 94.0)),
+            events.SwitchOff("carrier off", start_h=(10.0, 80.0), level_after_db=(-1.0, 1.5)),
+            events.GroupStep("transponder", start_h=(45.0, 70.0)),
+            events.ChainStep("recalibration", (75.0, 85.0), (-0.6, 0.6)),
+            events.Interference("interference", 2, start_h=(1.0, 90.0)),
+            events.Gap("gap", 2, start_h=(5.0, 90.0)),
         ),
     ),
     Scenario(
@@ -149,21 +134,21 @@ PLAIN: tuple[Scenario, ...] = (
             coloured_db=(0.0, 0.0), chain_db=0.0, chain_daily_db=0.0, thermal_db=0.0, wander_scale=0.0
         ),
     ),
-    Scenario("gaps", "Six gaps of ten minutes to three hours.", faults=(Gap("gaps", 6),)),
+    Scenario("gaps", "Six gaps of ten minutes to three hours.", faults=(events.Gap("gaps", 6),)),
     Scenario("few8", "Eight carriers, no fault.", plan="ku8"),
     Scenario("many32", "Thirty-two carriers, no fault.", plan="ku32"),
     Scenario(
         "steps_heavy",
         "Three days in which each of the sixteen users changes the level for good, once.",
         operation_h=72.0,
-        faults=(Step("steps", 16, ALL16, start_h=(1.0, 70.0)),),
+        faults=(events.Step("steps", 16, ALL16, start_h=(1.0, 70.0)),),
     ),
     Scenario(
         "downlink_slow",
         "Two slow rains over the receiving site, 0.02 and 0.03 dB/min, hours long.",
         faults=(
-            DownlinkRain("drizzle", (5.0, 7.0), (1.5, 2.0), (0.02, 0.02), (60.0, 120.0)),
-            DownlinkRain("long rain", (26.0, 29.0), (2.0, 3.0), (0.03, 0.03), (60.0, 120.0)),
+            events.DownlinkRain("drizzle", (5.0, 7.0), (1.5, 2.0), (0.02, 0.02), (60.0, 120.0)),
+            events.DownlinkRain("long rain", (26.0, 29.0), (2.0, 3.0), (0.03, 0.03), (60.0, 120.0)),
         ),
     ),
     Scenario(
@@ -171,28 +156,28 @@ PLAIN: tuple[Scenario, ...] = (
         "Rain over the receiving site while the spacecraft slews by 0.3 deg, once out and once back.",
         keeping=_CLOSE_KEEPING,
         manoeuvres=(
-            Hold(8.0, 6.0, 60.0, yaw_deg=0.2, roll_deg=-0.3, pitch_deg=0.25),
-            Hold(26.0, 6.0, 60.0, yaw_deg=-0.2, roll_deg=0.25, pitch_deg=-0.3),
+            events.Hold(8.0, 6.0, 60.0, yaw_deg=0.2, roll_deg=-0.3, pitch_deg=0.25),
+            events.Hold(26.0, 6.0, 60.0, yaw_deg=-0.2, roll_deg=0.25, pitch_deg=-0.3),
         ),
         faults=(
-            DownlinkRain("rain on the way out", (8.1, 8.5), (2.0, 4.0), (0.05, 0.2), (30.0, 60.0)),
-            DownlinkRain("rain on the way back", (32.1, 32.5), (2.0, 4.0), (0.05, 0.2), (30.0, 60.0)),
+            events.DownlinkRain("rain on the way out", (8.1, 8.5), (2.0, 4.0), (0.05, 0.2), (30.0, 60.0)),
+            events.DownlinkRain("rain on the way back", (32.1, 32.5), (2.0, 4.0), (0.05, 0.2), (30.0, 60.0)),
         ),
     ),
     Scenario(
         "dual_band",
         "Eight carriers in Ku and eight in C band, which feels a tenth of the rain; one rain over the receiving site.",
         plan="kuc16",
-        faults=(DownlinkRain("downlink rain", (8.0, 20.0), (2.5, 4.0), (0.05, 0.3), (60.0, 90.0)),),
+        faults=(events.DownlinkRain("downlink rain", (8.0, 20.0), (2.5, 4.0), (0.05, 0.3), (60.0, 90.0)),),
     ),
     Scenario(
         "transponder",
         "Four steps of gain, each of a whole transponder; one of them is undone after six hours.",
         faults=(
-            GroupStep("gain 1", start_h=(3.0, 9.0)),
-            GroupStep("gain 2", start_h=(13.0, 19.0), duration_h=6.0),
-            GroupStep("gain 3", start_h=(26.0, 32.0)),
-            GroupStep("gain 4", start_h=(36.0, 44.0)),
+            events.GroupStep("gain 1", start_h=(3.0, 9.0)),
+            events.GroupStep("gain 2", start_h=(13.0, 19.0), duration_h=6.0),
+            events.GroupStep("gain 3", start_h=(26.0, 32.0)),
+            events.GroupStep("gain 4", start_h=(36.0, 44.0)),
         ),
     ),
     Scenario(
@@ -200,16 +185,16 @@ PLAIN: tuple[Scenario, ...] = (
         "The receiving chain drifts by some 0.25 dB and is recalibrated four times by 0.2-0.6 dB.",
         noise=NoiseStatistics(chain_db=0.25),
         faults=(
-            ChainStep("recalibration 1", (4.0, 9.0), (0.2, 0.6)),
-            ChainStep("recalibration 2", (14.0, 20.0), (-0.6, -0.2)),
-            ChainStep("recalibration 3", (25.0, 31.0), (-0.6, -0.2)),
-            ChainStep("recalibration 4", (36.0, 43.0), (0.2, 0.6)),
+            events.ChainStep("recalibration 1", (4.0, 9.0), (0.2, 0.6)),
+            events.ChainStep("recalibration 2", (14.0, 20.0), (-0.6, -0.2)),
+            events.ChainStep("recalibration 3", (25.0, 31.0), (-0.6, -0.2)),
+            events.ChainStep("recalibration 4", (36.0, 43.0), (0.2, 0.6)),
         ),
     ),
     Scenario(
         "maneuver",
         "A planned burn turns the plane of the orbit; its ephemeris is there at once, the attitude is not disturbed.",
-        burns=(Burn("station keeping", (10.0, 16.0), ephemeris_after_h=0.0),),
+        burns=(events.Burn("station keeping", (10.0, 16.0), ephemeris_after_h=0.0),),
     ),
     Scenario("long14", "Fourteen days of ordinary keeping, no fault.", operation_h=14 * 24.0),
     Scenario(
@@ -217,22 +202,24 @@ PLAIN: tuple[Scenario, ...] = (
         "Aligned while the spacecraft stands at 0.25/0.16/0.13 deg instead of zero.",
         keeping=KeepingErrors(alignment_deg=(0.25, 0.16, 0.13)),
     ),
-    Scenario("interference", "Eight narrow signals inside carriers' bands.", faults=(Interference("signals", 8),)),
+    Scenario(
+        "interference", "Eight narrow signals inside carriers' bands.", faults=(events.Interference("signals", 8),)
+    ),
     Scenario(
         "mixed32",
         "Four days with every kind of fault on thirty-two carriers.",
         operation_h=96.0,
         plan="ku32",
         faults=(
-            UplinkRain("showers", 16, start_h=(1.0, 94.0)),
-            DownlinkRain("downlink rain", (20.0, 40.0), (1.5, 5.0), (0.03, 0.5), (30.0, 150.0)),
-            Step("steps", 8, start_h=(1.0, 94.0)),
-            SwitchOff("carrier off", start_h=(10.0, 80.0), level_after_db=(-1.0, 1.5)),
-            SwitchOff("another off", start_h=(10.0, 80.0), level_after_db=(-1.0, 1.5)),
-            GroupStep("transponder", start_h=(45.0, 70.0)),
-            ChainStep("recalibration", (75.0, 85.0), (-0.6, 0.6)),
-            Interference("interference", 4, start_h=(1.0, 90.0)),
-            Gap("gap", 2, start_h=(5.0, 90.0)),
+            events.UplinkRain("showers", 16, start_h=(1.0, 94.0)),
+            events.DownlinkRain("downlink rain", (20.0, 40.0), (1.5, 5.0), (0.03, 0.5), (30.0, 150.0)),
+            events.Step("steps", 8, start_h=(1.0, 94.0)),
+            events.SwitchOff("carrier off", start_h=(10.0, 80.0), level_after_db=(-1.0, 1.5)),
+            events.SwitchOff("another off", start_h=(10.0, 80.0), level_after_db=(-1.0, 1.5)),
+            events.GroupStep("transponder", start_h=(45.0, 70.0)),
+            events.ChainStep("recalibration", (75.0, 85.0), (-0.6, 0.6)),
+            events.Interference("interference", 4, start_h=(1.0, 90.0)),
+            events.Gap("gap", 2, start_h=(5.0, 90.0)),
         ),
     ),
 )
@@ -247,8 +234,8 @@ SOURCES_OF_REALITY: tuple[Scenario, ...] = (
         "Two beacons of the satellite beside sixteen users; rain over the receiving site and a step of the chain.",
         plan="ku16_beacons",
         faults=(
-            DownlinkRain("downlink rain", (8.0, 20.0), (2.5, 4.0), (0.05, 0.3), (60.0, 90.0)),
-            ChainStep("recalibration", (30.0, 38.0), (0.4, 0.8)),
+            events.DownlinkRain("downlink rain", (8.0, 20.0), (2.5, 4.0), (0.05, 0.3), (60.0, 90.0)),
+            events.ChainStep("recalibration", (30.0, 38.0), (0.4, 0.8)),
         ),
     ),
     Scenario(
@@ -259,27 +246,29 @@ SOURCES_OF_REALITY: tuple[Scenario, ...] = (
     Scenario(
         "prime_backup",
         "For some hours the backup analyzer measures; its receiving chain has 0.4 dB less gain.",
-        faults=(SourceSwitch("backup", (14.0, 16.0), (6.0, 8.0)),),
+        faults=(events.SourceSwitch("backup", (14.0, 16.0), (6.0, 8.0)),),
     ),
     Scenario(
         "replan",
         "A new plan in mid-operation: two carriers gone, two new, the order turned round.",
         plan="ku16_changed",
-        faults=(PlanChange("new plan", 20.0, gone=("c06", "c13"), new=("c16", "c17"), is_order_reversed=True),),
+        faults=(events.PlanChange("new plan", 20.0, gone=("c06", "c13"), new=("c16", "c17"), is_order_reversed=True),),
     ),
     Scenario(
         "blackout",
         "All carriers leave the air for three hours; later nothing is measured for five.",
         faults=(
-            SwitchOff("all off", ALL16, (8.0, 10.0), (3.0, 3.0)),
-            Gap("no analyzer", 1, (26.0, 30.0), (300.0, 300.0)),
+            events.SwitchOff("all off", ALL16, (8.0, 10.0), (3.0, 3.0)),
+            events.Gap("no analyzer", 1, (26.0, 30.0), (300.0, 300.0)),
         ),
     ),
     Scenario(
         "few3",
         "For six hours only three carriers are on the air.",
         faults=(
-            SwitchOff("most off", tuple(name for name in ALL16 if name not in _STAYING), (10.0, 12.0), (6.0, 6.0)),
+            events.SwitchOff(
+                "most off", tuple(name for name in ALL16 if name not in _STAYING), (10.0, 12.0), (6.0, 6.0)
+            ),
         ),
     ),
     Scenario(
@@ -290,6 +279,6 @@ SOURCES_OF_REALITY: tuple[Scenario, ...] = (
     Scenario(
         "antenna_wave",
         "From the start of operation on the Sun moves the uplink patterns by 0.03 and 0.02 deg once a day.",
-        faults=(PatternWave("bent reflector"),),
+        faults=(events.PatternWave("bent reflector"),),
     ),
 )

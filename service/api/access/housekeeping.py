@@ -17,19 +17,7 @@ from service.errors import StorageError
 from service.ports.storage import Audit, Keys
 from service.records.epoch import US_PER_S
 from service.records.inputs import JournalHead
-from service.records.operations.access import (
-    BOOTSTRAP_ID,
-    AuditEvent,
-    BrowserSession,
-    Role,
-    StoredKey,
-    digest_of,
-    hide,
-    id_of,
-    key_id_of_session,
-    new_session_token,
-    session_digest,
-)
+from service.records.operations import access
 
 #: age from which what was read is read again
 REFRESH_S = 2.0
@@ -61,11 +49,11 @@ class StoredKeys:
     ) -> None:
         self._keys = keys
         self._service_id = service_id
-        self._bootstrap = digest_of(bootstrap_key.encode("utf-8", "surrogateescape")) if bootstrap_key else None
-        hide(bootstrap_key or "")
+        self._bootstrap = access.digest_of(bootstrap_key.encode("utf-8", "surrogateescape")) if bootstrap_key else None
+        access.hide(bootstrap_key or "")
         self._system_us = system_us
-        self._known: dict[str, StoredKey] = {}
-        self._sessions: dict[bytes, BrowserSession] = {}
+        self._known: dict[str, access.StoredKey] = {}
+        self._sessions: dict[bytes, access.BrowserSession] = {}
         self._loaded_s = -math.inf
         #: when keys could not be read last, and why
         self._failed_s = -math.inf
@@ -79,10 +67,10 @@ class StoredKeys:
     async def principal(self, key: str) -> Principal | None:
         """Return the holder of a valid key, None for any other text."""
         # headers reach us decoded as Latin-1; this gives back the bytes that were sent
-        offered = digest_of(key.encode("latin-1", "replace"))
+        offered = access.digest_of(key.encode("latin-1", "replace"))
         if self._bootstrap is not None and hmac.compare_digest(offered, self._bootstrap):
-            return self._holder(BOOTSTRAP_ID)
-        key_id = id_of(key)
+            return self._holder(access.BOOTSTRAP_ID)
+        key_id = access.id_of(key)
         if key_id is None:
             return None
         await self._refresh(REFRESH_S if key_id in self._known else RECHECK_S)
@@ -93,8 +81,8 @@ class StoredKeys:
 
     def _holder(self, key_id: str) -> Principal | None:
         """Return the holder of a key that was offered, by itself or by a session; None unless it is valid."""
-        if key_id == BOOTSTRAP_ID:
-            return Principal("bootstrap", Role.ADMIN, BOOTSTRAP_ID)
+        if key_id == access.BOOTSTRAP_ID:
+            return Principal("bootstrap", access.Role.ADMIN, access.BOOTSTRAP_ID)
         now_us, stored = self._system_us(), self._known[key_id]
         if not stored.key.is_valid(now_us):
             return None
@@ -113,7 +101,7 @@ class StoredKeys:
 
     async def session_holder(self, token: str) -> Principal | None:
         """Return the holder of the key of an open session, None for any other text."""
-        key_id = key_id_of_session(token)
+        key_id = access.key_id_of_session(token)
         await self._refresh(REFRESH_S)
         if (digest := self._session_digest(token, key_id)) not in self._sessions:
             # another process may have opened it just now, and its page comes here next
@@ -125,18 +113,18 @@ class StoredKeys:
         principal = self._holder(key_id)
         return None if principal is None else replace(principal, session=session)
 
-    def open_session(self, principal: Principal) -> tuple[str, BrowserSession]:
+    def open_session(self, principal: Principal) -> tuple[str, access.BrowserSession]:
         """Store a session of the holder of a key; return its token, which is not kept, and the session."""
-        now_us, token = self._system_us(), new_session_token(principal.key_id)
+        now_us, token = self._system_us(), access.new_session_token(principal.key_id)
         ends_at_us = now_us + LIFE_OF_SESSION_S * US_PER_S
         ends_at_us = min(ends_at_us, principal.expires_at_us or ends_at_us)
         digest = self._session_digest(token, principal.key_id)
-        session = BrowserSession(digest, principal.key_id, ends_at_us)
+        session = access.BrowserSession(digest, principal.key_id, ends_at_us)
         self._keys.open_session(session, now_us)
         self.forget()
         return token, session
 
-    def end_session(self, session: BrowserSession) -> None:
+    def end_session(self, session: access.BrowserSession) -> None:
         """End a session: at once in this process, within seconds in every other."""
         self._keys.end_session(session.digest)
         self.forget()
@@ -144,8 +132,8 @@ class StoredKeys:
     def _session_digest(self, token: str, key_id: str) -> bytes:
         """Return the digest of a token; empty, which no session has, for a key that is not known."""
         known = self._known.get(key_id)
-        key_digest = self._bootstrap if key_id == BOOTSTRAP_ID else known and known.digest
-        return session_digest(token, key_digest, self._service_id) if key_digest else b""
+        key_digest = self._bootstrap if key_id == access.BOOTSTRAP_ID else known and known.digest
+        return access.session_digest(token, key_digest, self._service_id) if key_digest else b""
 
     async def still_holds(self, principal: Principal) -> bool:
         """Return whether a key that was valid is so still, and its session open, for answers that take long."""
@@ -156,7 +144,7 @@ class StoredKeys:
         now_us, stored = self._system_us(), self._known.get(principal.key_id)
         if session is not None and (session.digest not in self._sessions or session.ends_at_us <= now_us):
             return False
-        return principal.key_id == BOOTSTRAP_ID or (stored is not None and stored.key.is_valid(now_us))
+        return principal.key_id == access.BOOTSTRAP_ID or (stored is not None and stored.key.is_valid(now_us))
 
     def forget(self) -> None:
         """Read all keys again before the next one is judged; called after each change."""
@@ -221,7 +209,7 @@ _OTHERS = ("", "", "")
 class _Group:
     """Refusals counted, but not written."""
 
-    last: AuditEvent
+    last: access.AuditEvent
     times: int = 0
 
 
@@ -241,12 +229,12 @@ class Refusals:
         #: requests come on the loop, another thread takes away what was counted
         self._lock = Lock()
 
-    def admit(self, audit_event: AuditEvent) -> bool:
+    def admit(self, audit_event: access.AuditEvent) -> bool:
         """Return whether a refusal is to be written now; the others are counted."""
         with self._lock:
             return self._is_first(audit_event)
 
-    def settled(self, *, is_last: bool = False) -> list[AuditEvent]:
+    def settled(self, *, is_last: bool = False) -> list[access.AuditEvent]:
         """Return the counted refusals at the end of their window or of the service, and clear the counters."""
         now_s = self._monotonic_s()
         if now_s < self._until_s and not is_last:
@@ -255,7 +243,7 @@ class Refusals:
             groups, self._groups, self._until_s = self._groups, {}, now_s + WINDOW_S
         return [replace(group.last, times=group.times) for group in groups.values() if group.times]
 
-    def _is_first(self, audit_event: AuditEvent) -> bool:
+    def _is_first(self, audit_event: access.AuditEvent) -> bool:
         name = (audit_event.outcome, audit_event.key_id, audit_event.address)
         group = self._groups.get(name)
         is_new = group is None

@@ -13,29 +13,10 @@ from itertools import islice
 from typing import Any, Literal, NamedTuple, cast
 
 from service.api.context import ApiContext, check_method, check_version
-from service.api.export.export_chunks import (
-    PAGE_ROWS,
-    Chunk,
-    JoinedSource,
-    RecordPage,
-    joined_rows,
-    pages_of,
-    read_ahead,
-    record_page,
-)
+from service.api.export import export_chunks
 from service.errors import InvalidInputError, NotFoundError
 from service.formats.ccsds import AemWriter, AttitudeMessage
-from service.formats.tabular.series_tables import (
-    ATTITUDE,
-    EVENTS,
-    POLARIZATION,
-    REFERENCES,
-    TELEMETRY,
-    TORQUES,
-    EventRow,
-    joined_table,
-    plain_value,
-)
+from service.formats.tabular import series_tables
 from service.formats.tabular.table_file import (
     MeasurementColumns,
     SeriesTable,
@@ -80,9 +61,9 @@ _PARAMETERS = {
 }
 #: slow inputs that are series of their own: kind in the journal, and columns
 _OF_INPUTS: dict[str, tuple[str, SeriesTable[Any]]] = {
-    "references": ("reference", REFERENCES),
-    "telemetry": ("telemetry", TELEMETRY),
-    "polarization": ("polarization", POLARIZATION),
+    "references": ("reference", series_tables.REFERENCES),
+    "telemetry": ("telemetry", series_tables.TELEMETRY),
+    "polarization": ("polarization", series_tables.POLARIZATION),
 }
 #: kinds of the journal that are events
 EVENT_KINDS = (
@@ -118,9 +99,9 @@ class ArchiveFile:
     #: parameters that name the same file again, defaults filled in
     parameters: tuple[tuple[str, str], ...]
     #: rows of a part of the span
-    read: Callable[[Window], Iterator[Chunk]]
+    read: Callable[[Window], Iterator[export_chunks.Chunk]]
     #: rows of a part of the span, and that part
-    write: Callable[[Iterable[Chunk], Window], Iterator[bytes]]
+    write: Callable[[Iterable[export_chunks.Chunk], Window], Iterator[bytes]]
 
 
 def archive_file(context: ApiContext, names: Callable[[str, int], Sequence[str]], order: FileOrder) -> ArchiveFile:
@@ -180,12 +161,12 @@ class _Maker:
             rows = self._measurement_rows
             return ArchiveFile("measurements", (), rows, self._tdm)
 
-        def read(window: Window) -> Iterator[Chunk]:
+        def read(window: Window) -> Iterator[export_chunks.Chunk]:
             # a plan that came up after the columns were fixed is of rows that came after the asking
             blocks = archive.measurement_blocks(self._sc, window)
-            return read_ahead(block for block in blocks if block.plan_id in plan_ids)
+            return export_chunks.read_ahead(block for block in blocks if block.plan_id in plan_ids)
 
-        def write(chunks: Iterable[Chunk], _: Window) -> Iterator[bytes]:
+        def write(chunks: Iterable[export_chunks.Chunk], _: Window) -> Iterator[bytes]:
             blocks = cast("Iterable[MeasurementBlock]", chunks)
             return measurement_bytes(columns, cast("TableFormat", self._format), blocks)
 
@@ -197,10 +178,10 @@ class _Maker:
         results, (method, version) = self._context.storage.results, self._estimates()
         parameters = (("method", method.value), ("version", version))
 
-        def read(window: Window) -> Iterator[Chunk]:
-            return pages_of(partial(results.attitude_rows, self._sc, version, method), window)
+        def read(window: Window) -> Iterator[export_chunks.Chunk]:
+            return export_chunks.pages_of(partial(results.attitude_rows, self._sc, version, method), window)
 
-        def write_aem(chunks: Iterable[Chunk], part: Window) -> Iterator[bytes]:
+        def write_aem(chunks: Iterable[export_chunks.Chunk], part: Window) -> Iterator[bytes]:
             name, object_id = spacecraft.name, spacecraft.cospar_id or spacecraft.id
             writer = AemWriter(
                 AttitudeMessage(
@@ -214,36 +195,36 @@ class _Maker:
             yield writer.header()
             yield from writer.segments(_records(chunks))
 
-        write = write_aem if self._format == "aem" else self._table(ATTITUDE)
+        write = write_aem if self._format == "aem" else self._table(series_tables.ATTITUDE)
         return ArchiveFile(f"attitude_{method.value}_{version}", parameters, read, write)
 
     def torques(self) -> ArchiveFile:
         """Return the file of computed commands."""
         results, version = self._context.storage.results, self._version()
 
-        def read(window: Window) -> Iterator[Chunk]:
-            return pages_of(partial(results.commands, self._sc, version), window)
+        def read(window: Window) -> Iterator[export_chunks.Chunk]:
+            return export_chunks.pages_of(partial(results.commands, self._sc, version), window)
 
-        return ArchiveFile(f"torques_{version}", (("version", version),), read, self._table(TORQUES))
+        return ArchiveFile(f"torques_{version}", (("version", version),), read, self._table(series_tables.TORQUES))
 
     def joined(self) -> ArchiveFile:
         """Return the file of measurements with what one method made of each."""
         columns, plans, plan_ids = self._columns()
         method, version = self._estimates()
-        source = JoinedSource(self._context.storage, self._sc, plan_ids, method, version)
+        source = export_chunks.JoinedSource(self._context.storage, self._sc, plan_ids, method, version)
         parameters = (*plans, ("method", method.value), ("version", version))
 
-        def read(window: Window) -> Iterator[Chunk]:
-            return joined_rows(source, window, len(columns.carriers))
+        def read(window: Window) -> Iterator[export_chunks.Chunk]:
+            return export_chunks.joined_rows(source, window, len(columns.carriers))
 
         label = f"joined_{method.value}_{version}"
-        return ArchiveFile(label, parameters, read, self._table(joined_table(columns)))
+        return ArchiveFile(label, parameters, read, self._table(series_tables.joined_table(columns)))
 
     def inputs(self) -> ArchiveFile:
         """Return the file of a kind of slow inputs."""
         kind, table = _OF_INPUTS[self._order.series]
 
-        def read(window: Window) -> Iterator[Chunk]:
+        def read(window: Window) -> Iterator[export_chunks.Chunk]:
             return _paged(entry.content for entry in self._entries(kind, window))
 
         return ArchiveFile(self._order.series, (), read, self._table(table))
@@ -251,38 +232,40 @@ class _Maker:
     def events(self) -> ArchiveFile:
         """Return the file of events that begin in the span, in order of their beginning."""
 
-        def read(window: Window) -> Iterator[Chunk]:
+        def read(window: Window) -> Iterator[export_chunks.Chunk]:
             kinds = [map(_event, self._entries(kind, window)) for kind in EVENT_KINDS]
             rows = merge(*kinds, self._alarms(window), key=lambda row: (row.epoch_us, row.number))
             return _paged(row for row in rows if row.epoch_us >= window.start_us)
 
-        return ArchiveFile("events", (), read, self._table(EVENTS))
+        return ArchiveFile("events", (), read, self._table(series_tables.EVENTS))
 
     def _entries(self, kind: str, window: Window) -> Iterator[JournalEntry]:
         """Yield the slow inputs of a kind in order of (start, number)."""
         after: tuple[int, int] | None = None
         while True:
-            page = self._context.storage.archive.inputs(self._sc, kind, ListPart(window, PAGE_ROWS, after))
+            page = self._context.storage.archive.inputs(
+                self._sc, kind, ListPart(window, export_chunks.PAGE_ROWS, after)
+            )
             yield from page
-            if len(page) < PAGE_ROWS:
+            if len(page) < export_chunks.PAGE_ROWS:
                 return
             after = (page[-1].start_us or 0, page[-1].number)
 
-    def _alarms(self, window: Window) -> Iterator[EventRow]:
+    def _alarms(self, window: Window) -> Iterator[series_tables.EventRow]:
         """Yield the alarms that were raised, in order of (raised, id)."""
         after: tuple[int, int] | None = None
         while True:
-            page = self._context.storage.alarms.alarms(self._sc, (), ListPart(window, PAGE_ROWS, after))
+            page = self._context.storage.alarms.alarms(self._sc, (), ListPart(window, export_chunks.PAGE_ROWS, after))
             yield from map(_alarm_event, page)
-            if len(page) < PAGE_ROWS:
+            if len(page) < export_chunks.PAGE_ROWS:
                 return
             after = (page[-1].raised_at_us, page[-1].id)
 
-    def _measurement_rows(self, window: Window) -> Iterator[Chunk]:
+    def _measurement_rows(self, window: Window) -> Iterator[export_chunks.Chunk]:
         archive = self._context.storage.archive
-        return pages_of(partial(archive.measurements, self._sc), window)
+        return export_chunks.pages_of(partial(archive.measurements, self._sc), window)
 
-    def _tdm(self, chunks: Iterable[Chunk], part: Window) -> Iterator[bytes]:
+    def _tdm(self, chunks: Iterable[export_chunks.Chunk], part: Window) -> Iterator[bytes]:
         catalogue = self._context.storage.catalogue
         spacecraft = catalogue.spacecraft(self._sc)
         message = TrackingMessage(
@@ -295,7 +278,7 @@ class _Maker:
         yield writer.header()
         yield from writer.segments(cast("Iterable[Sequence[Measurement]]", _records(chunks)))
 
-    def _table(self, table: SeriesTable[Any]) -> Callable[[Iterable[Chunk], Window], Iterator[bytes]]:
+    def _table(self, table: SeriesTable[Any]) -> Callable[[Iterable[export_chunks.Chunk], Window], Iterator[bytes]]:
         file_format = cast("TableFormat", self._format)
         return lambda chunks, _: table_bytes(table, file_format, _records(chunks))
 
@@ -339,28 +322,30 @@ _MAKERS: dict[str, Callable[[_Maker], ArchiveFile]] = {
 }
 
 
-def _records(chunks: Iterable[Chunk]) -> Iterator[Any]:
+def _records(chunks: Iterable[export_chunks.Chunk]) -> Iterator[Any]:
     """Yield the records of each page."""
-    return (chunk.records for chunk in chunks if isinstance(chunk, RecordPage))
+    return (chunk.records for chunk in chunks if isinstance(chunk, export_chunks.RecordPage))
 
 
-def _paged(records: Iterable[Any]) -> Iterator[Chunk]:
+def _paged(records: Iterable[Any]) -> Iterator[export_chunks.Chunk]:
     """Yield records in pages."""
     rest = iter(records)
-    while page := list(islice(rest, PAGE_ROWS)):
-        yield record_page(page)
+    while page := list(islice(rest, export_chunks.PAGE_ROWS)):
+        yield export_chunks.record_page(page)
 
 
-def _event(entry: JournalEntry) -> EventRow:
+def _event(entry: JournalEntry) -> series_tables.EventRow:
     """Return the event that a journal entry tells."""
     content: Any = entry.content
     start_us = entry.start_us or 0
     stop_us = None if entry.stop_us == start_us else entry.stop_us
-    return EventRow(start_us, stop_us, entry.number, KIND_OF[type(content)], content.key, plain_value(content))
+    return series_tables.EventRow(
+        start_us, stop_us, entry.number, KIND_OF[type(content)], content.key, series_tables.plain_value(content)
+    )
 
 
-def _alarm_event(alarm: Alarm) -> EventRow:
+def _alarm_event(alarm: Alarm) -> series_tables.EventRow:
     """Return the event that an alarm is, as it stands now."""
-    document = {**plain_value(alarm), "severity": alarm.severity.word}
+    document = {**series_tables.plain_value(alarm), "severity": alarm.severity.word}
     key = f"{alarm.condition}/{alarm.thing}"
-    return EventRow(alarm.raised_at_us, alarm.returned_at_us, alarm.id, "alarm", key, document)
+    return series_tables.EventRow(alarm.raised_at_us, alarm.returned_at_us, alarm.id, "alarm", key, document)

@@ -19,14 +19,7 @@ from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.api.access.auth import digest_body
-from service.api.problems.problems import (
-    MAX_FAULTS,
-    RequestProblemError,
-    faults_of,
-    invalid_request,
-    pointer_of,
-    render,
-)
+from service.api.problems import problems
 from service.errors import FieldError
 from service.records.field_faults import fault_sentence
 from service.records.operations.access import without_secrets
@@ -61,7 +54,7 @@ def decode(adapter: TypeAdapter[M], raw: bytes, prefix: str = "") -> M:
     """
     if len(raw) > MOST_VALUES and sum(raw.count(mark) for mark in (b",", b"[", b"{")) > MOST_VALUES:
         detail = f"the body holds more than {MOST_VALUES} values"
-        raise RequestProblemError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "body.too_many_values", detail)
+        raise problems.RequestProblemError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "body.too_many_values", detail)
     try:
         document = adapter.validate_json(raw)
         _refuse_duplicate_keys(raw)
@@ -70,10 +63,10 @@ def decode(adapter: TypeAdapter[M], raw: bytes, prefix: str = "") -> M:
     else:
         return document
     if faults[0]["type"] == "json_invalid":
-        raise RequestProblemError(
+        raise problems.RequestProblemError(
             HTTPStatus.BAD_REQUEST, "json.malformed", f"the body {fault_sentence(faults[0])[:200]}"
         )
-    raise invalid_request(faults_of(faults, prefix))
+    raise problems.invalid_request(problems.faults_of(faults, prefix))
 
 
 def _refuse_duplicate_keys(raw: bytes) -> None:
@@ -86,7 +79,7 @@ def _refuse_duplicate_keys(raw: bytes) -> None:
         if not twice:
             return
     detail = f"an object of the body has the key {twice[0][:64]!r} twice"
-    raise RequestProblemError(HTTPStatus.BAD_REQUEST, "json.duplicate_key", detail)
+    raise problems.RequestProblemError(HTTPStatus.BAD_REQUEST, "json.duplicate_key", detail)
 
 
 def _note_duplicate(twice: list[str], pairs: list[tuple[str, Any]]) -> None:
@@ -101,9 +94,9 @@ async def refuse_unknown_parameters(request: Request) -> None:
         return
     fields = get_flat_params(request.scope["route"].dependant)
     names = sorted(field.alias for field in fields if isinstance(field.field_info, params.Query))
-    unknown = sorted(set(request.query_params) - set(names))[:MAX_FAULTS]
+    unknown = sorted(set(request.query_params) - set(names))[: problems.MAX_FAULTS]
     if unknown:
-        raise invalid_request([_unknown_parameter(name, names) for name in unknown])
+        raise problems.invalid_request([_unknown_parameter(name, names) for name in unknown])
 
 
 def _unknown_parameter(name: str, names: list[str]) -> FieldError:
@@ -111,7 +104,7 @@ def _unknown_parameter(name: str, names: list[str]) -> FieldError:
     detail = f"this path takes no such parameter; it takes {', '.join(names) or 'none'}"
     if nearest:
         detail = f"this path takes no such parameter; the nearest that it takes is {nearest[0]}"
-    return FieldError(pointer_of(("query", without_secrets(name))), "query.unknown", detail)
+    return FieldError(problems.pointer_of(("query", without_secrets(name))), "query.unknown", detail)
 
 
 #: on every route
@@ -128,10 +121,10 @@ def is_json(media: str) -> bool:
     return media in {"", "application/json"} or (media.startswith("application/") and media.endswith("+json"))
 
 
-def unsupported_media(accepted: str) -> RequestProblemError:
+def unsupported_media(accepted: str) -> problems.RequestProblemError:
     """Return the 415 that names what is accepted."""
     detail = f"this path accepts a body as {accepted}"
-    return RequestProblemError(
+    return problems.RequestProblemError(
         HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "media_type.unsupported", detail, headers={"Accept": accepted}
     )
 
@@ -311,8 +304,8 @@ class RequestIds:
             if is_answered:
                 raise
             detail = f"the service failed; its log has the reason under request id {request_id}"
-            problem = RequestProblemError(HTTPStatus.INTERNAL_SERVER_ERROR, "service.failed", detail)
-            await render(HTTPConnection(scope), problem)(scope, receive, send_with_id)
+            problem = problems.RequestProblemError(HTTPStatus.INTERNAL_SERVER_ERROR, "service.failed", detail)
+            await problems.render(HTTPConnection(scope), problem)(scope, receive, send_with_id)
         finally:
             REQUEST_ID.reset(token)
 

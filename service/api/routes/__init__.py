@@ -9,7 +9,6 @@ from service.api.routes import (
     catalogue,
     control,
     inputs,
-    jobs,
     measurements,
     shift,
     stream,
@@ -25,7 +24,13 @@ ROUTERS: tuple[APIRouter, ...] = (
     *(archive.samples_router, archive.timeline_router, measurements.traces_router),
     # torque_commands behind the names of torques, which its ids must not hide
     *(control.attitude_router, control.carrier_results_router, control.torques_router, control.torque_commands_router),
-    *(control.control_router, stream.router, archive.export_router, jobs.replays_router, jobs.jobs_router),
+    *(
+        control.control_router,
+        stream.router,
+        archive.export_router,
+        calibrations.replays_router,
+        calibrations.jobs_router,
+    ),
     *(shift.report_router, shift.links_router, shift.list_router, shift.alarms_router, shift.alarm_limits_router),
     *(shift.notes_router, shift.handover_router, access.keys_router, access.audit_router),
     access.about_router,

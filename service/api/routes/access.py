@@ -13,21 +13,10 @@ from fastapi.responses import HTMLResponse
 from pydantic import BaseModel
 from starlette.concurrency import run_in_threadpool
 
-from service.api.access.auth import (
-    MAY_ADMINISTER,
-    MAY_INSPECT,
-    CurrentPrincipal,
-    address_of,
-    authenticated,
-    known_or_counted,
-    refusal_of_key,
-    require_same_origin,
-    set_cookie,
-)
+from service.api.access import auth
 from service.api.access.housekeeping import StoredKeys
 from service.api.context import Context
-from service.api.monitoring.metrics import MEDIA_TYPE, Metrics
-from service.api.monitoring.readiness import SharedReadiness, require_ready
+from service.api.monitoring.metrics import MEDIA_TYPE, Metrics, SharedReadiness, require_ready
 from service.api.problems.problems import RequestProblemError, invalid_request
 from service.api.protocol.openapi import render_page
 from service.api.protocol.paging import Page
@@ -68,7 +57,7 @@ def get_about(context: Context) -> AboutAnswer:
     )
 
 
-audit_router = APIRouter(prefix="/audit", tags=["access"], dependencies=[MAY_INSPECT])
+audit_router = APIRouter(prefix="/audit", tags=["access"], dependencies=[auth.MAY_INSPECT])
 _WORDS = r"^[^\x00-\x1f\x7f]*$"
 
 
@@ -184,7 +173,7 @@ def _catching_up(restarting: Restarting) -> CatchingUp:
 async def get_metrics(request: Request, context: Context) -> Response:
     """Return the figures of the service in the text form of Prometheus; a key is needed by setting only."""
     # the key first: wrong ones of others behind the same address keep no holder of a valid one out
-    await (authenticated if context.monitoring.metrics_need_key else known_or_counted)(request)
+    await (auth.authenticated if context.monitoring.metrics_need_key else auth.known_or_counted)(request)
     metrics: Metrics = request.app.state.metrics
     return Response(await run_in_threadpool(metrics.render), media_type=MEDIA_TYPE)
 
@@ -195,7 +184,7 @@ def get_reference(request: Request) -> HTMLResponse:
     return HTMLResponse(render_page(request.app.openapi()))
 
 
-keys_router = APIRouter(prefix="/keys", tags=["access"], dependencies=[MAY_ADMINISTER])
+keys_router = APIRouter(prefix="/keys", tags=["access"], dependencies=[auth.MAY_ADMINISTER])
 _ID = re.compile(r"[a-z0-9]{1,32}", re.ASCII)
 
 
@@ -212,7 +201,7 @@ Ring = Annotated[StoredKeys, Depends(stored_keys_of)]
 def create_key(
     body: Annotated[KeyDocument, body_of(KeyDocument)],
     context: Context,
-    principal: CurrentPrincipal,
+    principal: auth.CurrentPrincipal,
     ring: Ring,
     response: Response,
 ) -> NewKeyAnswer:
@@ -299,37 +288,39 @@ async def open_browser_session(
         # a page of another site may send such a body without asking first
         raise unsupported_media("application/json")
     if "origin" in request.headers:
-        require_same_origin(request)
+        auth.require_same_origin(request)
     if not (request.url.scheme == "https" or context.limits.plain_sessions or _is_loopback(request)):
         detail = "a key would cross the network unprotected"
         raise RequestProblemError(HTTPStatus.FORBIDDEN, "session.plain_http", detail)
     principal = await ring.principal(body.key)
     if principal is None:
-        raise refusal_of_key("this key is not known, expired or revoked")
+        raise auth.refusal_of_key("this key is not known, expired or revoked")
     token, session = await run_in_threadpool(ring.open_session, principal)
-    set_cookie(request, response, token, (session.ends_at_us - context.clock.system_us()) // US_PER_S)
+    auth.set_cookie(request, response, token, (session.ends_at_us - context.clock.system_us()) // US_PER_S)
     response.headers["Cache-Control"] = "no-store"
     return SessionAnswer.of(replace(principal, session=session))
 
 
 @session_router.get("")
-async def get_session(principal: CurrentPrincipal, response: Response) -> SessionAnswer:
+async def get_session(principal: auth.CurrentPrincipal, response: Response) -> SessionAnswer:
     """Return who holds the key of this request, what it may do, and until when."""
     response.headers["Cache-Control"] = "no-store"
     return SessionAnswer.of(principal)
 
 
 @session_router.delete("", status_code=HTTPStatus.NO_CONTENT)
-async def close_browser_session(principal: CurrentPrincipal, ring: Ring, request: Request, response: Response) -> None:
+async def close_browser_session(
+    principal: auth.CurrentPrincipal, ring: Ring, request: Request, response: Response
+) -> None:
     """End the session of the cookie, which is taken away; the key stays valid."""
     if principal.session is not None:
         await run_in_threadpool(ring.end_session, principal.session)
-    set_cookie(request, response, "", 0)
+    auth.set_cookie(request, response, "", 0)
 
 
 def _is_loopback(request: Request) -> bool:
     """Return whether a request comes from this machine."""
     try:
-        return ip_address(address_of(request.scope)).is_loopback
+        return ip_address(auth.address_of(request.scope)).is_loopback
     except ValueError:
         return False

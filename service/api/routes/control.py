@@ -22,30 +22,12 @@ from service.api.problems.problems import invalid_request
 from service.api.protocol.paging import Page, by_epoch
 from service.api.protocol.requests import accepts, body_of, optional_body
 from service.api.routes.shift import Caller, CurrentCaller, Said, accepts_comment
-from service.api.schemas.control import (
-    AttitudeAnswer,
-    AttitudePage,
-    CommandAnswer,
-    CommandPage,
-    ConfirmDocument,
-    ControlAnswer,
-    NewestAttitudeAnswer,
-    NewestTorqueAnswer,
-    OrderDocument,
-    PrepareDocument,
-    ReportDocument,
-    SignCheckDocument,
-    SmoothedPage,
-    TorqueAnswer,
-    TorquePage,
-    UplinkAnswer,
-)
+from service.api.schemas import control as documents
 from service.api.schemas.measurements import CarrierResultAnswer, CarrierResultPage
 from service.api.schemas.shift import StatusAnswer
 from service.api.views.present import SpacecraftNow, present_of, status_of
 from service.errors import FieldError, ForbiddenError, NotFoundError
-from service.pipeline.control.control_conditions import control_conditions
-from service.pipeline.control.release.control_verdict import ControlView
+from service.pipeline.control.release.control_verdict import ControlView, control_conditions
 from service.pipeline.control.release.events import OrderKind
 from service.ports.archive import LIVE, SMOOTHED
 from service.records.calibration import Window
@@ -58,7 +40,9 @@ attitude_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/attitude", tags=
 
 
 @attitude_router.get("")
-def get_attitude(spacecraft_id: SpacecraftId, context: Context, method: MethodParameter = None) -> NewestAttitudeAnswer:
+def get_attitude(
+    spacecraft_id: SpacecraftId, context: Context, method: MethodParameter = None
+) -> documents.NewestAttitudeAnswer:
     """Return the newest attitude; status NOT_RECEIVED before the first row, EXPIRED when the newest is too old."""
     now = SpacecraftNow(context, spacecraft_id)
     method = method or now.spacecraft.control.method
@@ -68,8 +52,8 @@ def get_attitude(spacecraft_id: SpacecraftId, context: Context, method: MethodPa
     if method is not now.spacecraft.control.method:
         row = now.row(method)
     if row is None:
-        return NewestAttitudeAnswer.not_received(method, LIVE, control=control)
-    return NewestAttitudeAnswer.of(row, LIVE, control=control)
+        return documents.NewestAttitudeAnswer.not_received(method, LIVE, control=control)
+    return documents.NewestAttitudeAnswer.of(row, LIVE, control=control)
 
 
 @attitude_router.get("/history")
@@ -79,21 +63,21 @@ def list_attitude(
     version: WantedVersion,
     page: Page,
     context: Context,
-) -> AttitudePage:
+) -> documents.AttitudePage:
     """List attitude rows in order of epoch, exactly one a measurement and method."""
     read = context.storage.results.attitude_rows
     found = read(spacecraft_id, version, method, page.part)
-    of = partial(AttitudeAnswer.of, version=version)
-    return page.answer(AttitudePage, found, by_epoch, of, method=method, version=version)
+    of = partial(documents.AttitudeAnswer.of, version=version)
+    return page.answer(documents.AttitudePage, found, by_epoch, of, method=method, version=version)
 
 
 @attitude_router.get("/smoothed")
-def list_smoothed(spacecraft_id: SpacecraftId, page: Page, context: Context) -> SmoothedPage:
+def list_smoothed(spacecraft_id: SpacecraftId, page: Page, context: Context) -> documents.SmoothedPage:
     """List smoothed rows in order of epoch, one each five minutes, made when the data reach the lag beyond them."""
     read, method = context.storage.results.attitude_rows, Method.ROBUST_SMOOTHED
     found = read(spacecraft_id, SMOOTHED, method, page.part)
-    of = partial(AttitudeAnswer.of, version=SMOOTHED)
-    return page.answer(SmoothedPage, found, by_epoch, of, method=method, version=SMOOTHED)
+    of = partial(documents.AttitudeAnswer.of, version=SMOOTHED)
+    return page.answer(documents.SmoothedPage, found, by_epoch, of, method=method, version=SMOOTHED)
 
 
 carrier_results_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/carriers/{carrier}/results", tags=["attitude"])
@@ -131,22 +115,22 @@ def list_carrier_results(
 
 
 control_router = APIRouter(prefix="/spacecraft/{spacecraft_id}", tags=["control"])
-Ordered = Annotated[OrderDocument, optional_body(OrderDocument)]
-SignChecked = Annotated[SignCheckDocument, optional_body(SignCheckDocument)]
-_ACCEPTS_ORDER = accepts(OrderDocument, is_required=False)
-_ACCEPTS_SIGN_CHECK = accepts(SignCheckDocument, is_required=False)
+Ordered = Annotated[documents.OrderDocument, optional_body(documents.OrderDocument)]
+SignChecked = Annotated[documents.SignCheckDocument, optional_body(documents.SignCheckDocument)]
+_ACCEPTS_ORDER = accepts(documents.OrderDocument, is_required=False)
+_ACCEPTS_SIGN_CHECK = accepts(documents.SignCheckDocument, is_required=False)
 #: order in which signs are checked where none is named: yaw turns by the roll that it causes, so it comes last
 _CHECK_ORDER = ("roll", "pitch", "yaw")
 
 
 @control_router.get("/control")
-def get_control(spacecraft_id: SpacecraftId, context: Context) -> ControlAnswer:
+def get_control(spacecraft_id: SpacecraftId, context: Context) -> documents.ControlAnswer:
     """Return the state of the interlock, all active reasons, and every condition with its value and limit."""
     return _answer(context, spacecraft_id, context.release_service.control(spacecraft_id))
 
 
 @control_router.post("/control:arm", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_ORDER)
-def arm_control(caller: CurrentCaller, body: Ordered, request: Request) -> ControlAnswer:
+def arm_control(caller: CurrentCaller, body: Ordered, request: Request) -> documents.ControlAnswer:
     """Arm: commands may be prepared and confirmed unless a reason is active; two approvers set release automatic."""
     if body.release is None:
         return _order(caller, OrderKind.ARM, body)
@@ -164,25 +148,25 @@ def arm_control(caller: CurrentCaller, body: Ordered, request: Request) -> Contr
 
 
 @control_router.post("/control:disengage", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_ORDER)
-def disengage_control(caller: CurrentCaller, body: Ordered) -> ControlAnswer:
+def disengage_control(caller: CurrentCaller, body: Ordered) -> documents.ControlAnswer:
     """Take the standing authorisation back; where there is none, the arming."""
     return _order(caller, OrderKind.DISENGAGE, body)
 
 
 @control_router.post("/control:reset", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_ORDER)
-def reset_control(caller: CurrentCaller, body: Ordered) -> ControlAnswer:
+def reset_control(caller: CurrentCaller, body: Ordered) -> documents.ControlAnswer:
     """Reset a trip once what tripped is over; ten good minutes and an arming follow."""
     return _order(caller, OrderKind.RESET, body)
 
 
 @control_router.post("/control:stop", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_ORDER)
-def stop_control(caller: CurrentCaller, body: Ordered) -> ControlAnswer:
+def stop_control(caller: CurrentCaller, body: Ordered) -> documents.ControlAnswer:
     """Trip: no torque is sent until a reset; commands already sent cannot be stopped."""
     return _order(caller, OrderKind.STOP, body)
 
 
-@control_router.post("/control:engage", dependencies=[MAY_APPROVE], openapi_extra=accepts(OrderDocument))
-def engage_control(caller: CurrentCaller, body: Ordered) -> ControlAnswer:
+@control_router.post("/control:engage", dependencies=[MAY_APPROVE], openapi_extra=accepts(documents.OrderDocument))
+def engage_control(caller: CurrentCaller, body: Ordered) -> documents.ControlAnswer:
     """Request standing authorisation within an envelope, or second the equal request of another person."""
     if body.until is None:
         detail = "say until when the authorisation holds, at most 12 h ahead"
@@ -198,7 +182,7 @@ def engage_control(caller: CurrentCaller, body: Ordered) -> ControlAnswer:
 
 
 @control_router.post("/control:sign-check", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_SIGN_CHECK)
-def check_sign(caller: CurrentCaller, body: SignChecked) -> ControlAnswer:
+def check_sign(caller: CurrentCaller, body: SignChecked) -> documents.ControlAnswer:
     """Begin to prove the sign of an axis: small turns are prepared one by one, each to be confirmed and reported."""
     axis: str | None = body.axis
     if axis is None:
@@ -209,18 +193,18 @@ def check_sign(caller: CurrentCaller, body: SignChecked) -> ControlAnswer:
     return _answer(caller.context, caller.spacecraft_id, view)
 
 
-def _order(caller: Caller, kind: OrderKind, body: OrderDocument) -> ControlAnswer:
+def _order(caller: Caller, kind: OrderKind, body: documents.OrderDocument) -> documents.ControlAnswer:
     """Return the state of the interlock after an order."""
     view = caller.release.order(caller.spacecraft_id, kind, caller.name)
     caller.log(kind.value, body.comment)
     return _answer(caller.context, caller.spacecraft_id, view)
 
 
-def _answer(context: ApiContext, spacecraft_id: str, view: ControlView) -> ControlAnswer:
+def _answer(context: ApiContext, spacecraft_id: str, view: ControlView) -> documents.ControlAnswer:
     """Return the answer of a view of the interlock, with the verdict."""
     present = present_of(context, SpacecraftNow(context, spacecraft_id), view)
     conditions = control_conditions(view, present.row, present.verdict, context.interlock)
-    return ControlAnswer.of(view, present.control, conditions, context.interlock.validity_limit_deg)
+    return documents.ControlAnswer.of(view, present.control, conditions, context.interlock.validity_limit_deg)
 
 
 status_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/status", tags=["status"])
@@ -235,81 +219,85 @@ def get_status(spacecraft_id: SpacecraftId, context: Context) -> StatusAnswer:
 torque_commands_router = APIRouter(prefix="/spacecraft/{spacecraft_id}", tags=["release of torques"])
 #: its counter
 CommandId = Annotated[int, Path(ge=1, le=2**53)]
-ReportBody = Annotated[ReportDocument, optional_body(ReportDocument)]
-_ACCEPTS_REPORT = accepts(ReportDocument, is_required=False)
+ReportBody = Annotated[documents.ReportDocument, optional_body(documents.ReportDocument)]
+_ACCEPTS_REPORT = accepts(documents.ReportDocument, is_required=False)
 
 
 @torque_commands_router.post(
     "/torques:prepare",
     status_code=HTTPStatus.CREATED,
     dependencies=[MAY_OPERATE],
-    openapi_extra=accepts(PrepareDocument),
-    responses={HTTPStatus.OK: {"model": CommandAnswer, "description": "Of a dry run: nothing is stored"}},
+    openapi_extra=accepts(documents.PrepareDocument),
+    responses={HTTPStatus.OK: {"model": documents.CommandAnswer, "description": "Of a dry run: nothing is stored"}},
 )
 def prepare_torques(
-    caller: CurrentCaller, body: Annotated[PrepareDocument, body_of(PrepareDocument)], response: Response
-) -> CommandAnswer:
+    caller: CurrentCaller,
+    body: Annotated[documents.PrepareDocument, body_of(documents.PrepareDocument)],
+    response: Response,
+) -> documents.CommandAnswer:
     """Compute and check a command that waits for another person; a dry run only shows it."""
     command = caller.release.prepare(caller.spacecraft_id, caller.name, body.to_request(), dry_run=body.dry_run)
     if command.is_dry_run:
         response.status_code = HTTPStatus.OK
     else:
         response.headers["Location"] = f"/api/v1/spacecraft/{caller.spacecraft_id}/torques/{command.counter}"
-    return CommandAnswer.of(command, caller.context.storage.catalogue.spacecraft(caller.spacecraft_id))
+    return documents.CommandAnswer.of(command, caller.context.storage.catalogue.spacecraft(caller.spacecraft_id))
 
 
 @torque_commands_router.get("/torques/commands")
-def list_commands(spacecraft_id: SpacecraftId, page: Page, context: Context) -> CommandPage:
+def list_commands(spacecraft_id: SpacecraftId, page: Page, context: Context) -> documents.CommandPage:
     """List commands that were prepared in the range, in order of their preparation."""
     context.storage.catalogue.spacecraft(spacecraft_id)
     found = context.storage.releases.commands(spacecraft_id, page.part)
-    return page.answer(CommandPage, found, attrgetter("prepared_us", "counter"), CommandAnswer.of)
+    return page.answer(documents.CommandPage, found, attrgetter("prepared_us", "counter"), documents.CommandAnswer.of)
 
 
 @torque_commands_router.get("/torques/{command_id}")
-def get_command(spacecraft_id: SpacecraftId, command_id: CommandId, context: Context) -> CommandAnswer:
+def get_command(spacecraft_id: SpacecraftId, command_id: CommandId, context: Context) -> documents.CommandAnswer:
     """Return one command as it stands, with the angles that it is predicted to bring about."""
     command = context.release_service.command(spacecraft_id, command_id)
-    return CommandAnswer.of(command, context.storage.catalogue.spacecraft(spacecraft_id))
+    return documents.CommandAnswer.of(command, context.storage.catalogue.spacecraft(spacecraft_id))
 
 
 @torque_commands_router.get("/torques/{command_id}/uplink")
-def get_uplink(spacecraft_id: SpacecraftId, command_id: CommandId, context: Context) -> UplinkAnswer:
+def get_uplink(spacecraft_id: SpacecraftId, command_id: CommandId, context: Context) -> documents.UplinkAnswer:
     """Return what goes up of a released command."""
-    return UplinkAnswer.of(context.storage.releases.product(spacecraft_id, ProductForm.TORQUES, command_id))
+    return documents.UplinkAnswer.of(context.storage.releases.product(spacecraft_id, ProductForm.TORQUES, command_id))
 
 
 @torque_commands_router.get("/attitude/uplink")
-def get_attitude_uplink(spacecraft_id: SpacecraftId, context: Context) -> UplinkAnswer:
+def get_attitude_uplink(spacecraft_id: SpacecraftId, context: Context) -> documents.UplinkAnswer:
     """Return the newest angles for a spacecraft in mode onboard, with their counter and how long they hold."""
-    return UplinkAnswer.of(context.release_service.attitude_uplink(spacecraft_id))
+    return documents.UplinkAnswer.of(context.release_service.attitude_uplink(spacecraft_id))
 
 
 @torque_commands_router.post(
-    "/torques/{command_id}:confirm", dependencies=[MAY_APPROVE], openapi_extra=accepts(ConfirmDocument)
+    "/torques/{command_id}:confirm", dependencies=[MAY_APPROVE], openapi_extra=accepts(documents.ConfirmDocument)
 )
 def confirm_torques(
-    caller: CurrentCaller, command_id: CommandId, body: Annotated[ConfirmDocument, body_of(ConfirmDocument)]
-) -> CommandAnswer:
+    caller: CurrentCaller,
+    command_id: CommandId,
+    body: Annotated[documents.ConfirmDocument, body_of(documents.ConfirmDocument)],
+) -> documents.CommandAnswer:
     """Confirm a command that another person prepared; it is released at once, or refused with the reason."""
     command = caller.release.confirm(
         caller.spacecraft_id, command_id, caller.name, body.digest, is_approver=caller.is_approver, comment=body.comment
     )
-    return CommandAnswer.of(command)
+    return documents.CommandAnswer.of(command)
 
 
 @torque_commands_router.post(
     "/torques/{command_id}:cancel", dependencies=[MAY_OPERATE], openapi_extra=accepts_comment()
 )
-def cancel_torques(caller: CurrentCaller, command_id: CommandId, body: Said) -> CommandAnswer:
+def cancel_torques(caller: CurrentCaller, command_id: CommandId, body: Said) -> documents.CommandAnswer:
     """Take a prepared command back; what has been released cannot be called back."""
     command = caller.release.cancel(caller.spacecraft_id, command_id, caller.name)
     caller.log(f"cancel command {command_id}", body.comment)
-    return CommandAnswer.of(command)
+    return documents.CommandAnswer.of(command)
 
 
 @torque_commands_router.post("/torques/{command_id}:sent", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_REPORT)
-def report_sent(caller: CurrentCaller, command_id: CommandId, body: ReportBody) -> CommandAnswer:
+def report_sent(caller: CurrentCaller, command_id: CommandId, body: ReportBody) -> documents.CommandAnswer:
     """Report that a released command was uplinked."""
     return _reported(caller, command_id, "sent", body)
 
@@ -317,18 +305,18 @@ def report_sent(caller: CurrentCaller, command_id: CommandId, body: ReportBody) 
 @torque_commands_router.post(
     "/torques/{command_id}:executed", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_REPORT
 )
-def report_executed(caller: CurrentCaller, command_id: CommandId, body: ReportBody) -> CommandAnswer:
+def report_executed(caller: CurrentCaller, command_id: CommandId, body: ReportBody) -> documents.CommandAnswer:
     """Report that a command was executed, whole or between two instants; it becomes known input of the filter."""
     return _reported(caller, command_id, "executed", body)
 
 
 @torque_commands_router.post("/torques/{command_id}:failed", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_REPORT)
-def report_failed(caller: CurrentCaller, command_id: CommandId, body: ReportBody) -> CommandAnswer:
+def report_failed(caller: CurrentCaller, command_id: CommandId, body: ReportBody) -> documents.CommandAnswer:
     """Report that a command was not executed, or only between two instants."""
     return _reported(caller, command_id, "failed", body)
 
 
-def _reported(caller: Caller, command_id: int, turn: str, body: ReportDocument) -> CommandAnswer:
+def _reported(caller: Caller, command_id: int, turn: str, body: documents.ReportDocument) -> documents.CommandAnswer:
     """Return a command after a report."""
     command = caller.release.report(
         caller.spacecraft_id,
@@ -339,28 +327,32 @@ def _reported(caller: Caller, command_id: int, turn: str, body: ReportDocument) 
         executed_from_us=body.executed_from,
         executed_until_us=body.executed_until,
     )
-    return CommandAnswer.of(command)
+    return documents.CommandAnswer.of(command)
 
 
 torques_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/torques", tags=["torques"])
 
 
 @torques_router.get("")
-def get_torques(spacecraft_id: SpacecraftId, context: Context) -> NewestTorqueAnswer:
+def get_torques(spacecraft_id: SpacecraftId, context: Context) -> documents.NewestTorqueAnswer:
     """Return the newest command: zero with its reasons while control is inhibited, null before the first."""
     now = SpacecraftNow(context, spacecraft_id)
     present = present_of(context, now)
     row, command = present.row, present.command
     if command is None:
-        answer = TorqueAnswer.before_the_first(now.spacecraft.control.mode, None if row is None else row.epoch_us)
+        answer = documents.TorqueAnswer.before_the_first(
+            now.spacecraft.control.mode, None if row is None else row.epoch_us
+        )
     else:
-        answer = TorqueAnswer.of(command)
-    return NewestTorqueAnswer(**dict(answer), control=present.control)
+        answer = documents.TorqueAnswer.of(command)
+    return documents.NewestTorqueAnswer(**dict(answer), control=present.control)
 
 
 @torques_router.get("/history")
-def list_torques(spacecraft_id: SpacecraftId, version: WantedVersion, page: Page, context: Context) -> TorquePage:
+def list_torques(
+    spacecraft_id: SpacecraftId, version: WantedVersion, page: Page, context: Context
+) -> documents.TorquePage:
     """List computed commands in order of epoch."""
     read = context.storage.results.commands
     found = read(spacecraft_id, version, page.part)
-    return page.answer(TorquePage, found, by_epoch, TorqueAnswer.of, version=version)
+    return page.answer(documents.TorquePage, found, by_epoch, documents.TorqueAnswer.of, version=version)

@@ -13,33 +13,8 @@ from service.api.context import ApiContext, Context, EpochLimits, SpacecraftId
 from service.api.protocol.paging import Page, PageQuery, Position
 from service.api.protocol.requests import MergePatch, accepts, body_of, patched
 from service.api.routes.measurements import check_batch_size
+from service.api.schemas import inputs as documents
 from service.api.schemas.base import Answer
-from service.api.schemas.inputs import (
-    CorrectionAnswer,
-    CorrectionBatchDocument,
-    CorrectionPage,
-    Fault,
-    InputReceiptAnswer,
-    InputRefusalAnswer,
-    OperationAnswer,
-    OperationDocument,
-    OperationPage,
-    PolarizationAnswer,
-    PolarizationBatchDocument,
-    PolarizationDocument,
-    PolarizationPage,
-    ReferenceAnswer,
-    ReferenceBatchDocument,
-    ReferencePage,
-    TelemetryAnswer,
-    TelemetryBatchDocument,
-    TelemetryDocument,
-    TelemetryPage,
-    WeatherAnswer,
-    WeatherBatchDocument,
-    WeatherDocument,
-    WeatherPage,
-)
 from service.pipeline.ingest_screening import HORIZON_US
 from service.records.catalogue import Spacecraft
 from service.records.epoch import LATEST_EPOCH_US, format_epoch
@@ -54,7 +29,7 @@ _NOTHING_STORED = InputReceipt(0, 0, ())
 class _Row(Protocol):
     """A row that knows why it cannot be."""
 
-    def fault(self) -> Fault | None:
+    def fault(self) -> documents.Fault | None:
         """Return why the row is refused."""
 
 
@@ -65,13 +40,13 @@ M = TypeVar("M", bound=BaseModel)
 @inputs_router.post(
     "/attitude-references:batch",
     dependencies=[may_send(DataKind.REFERENCES)],
-    openapi_extra=accepts(ReferenceBatchDocument),
+    openapi_extra=accepts(documents.ReferenceBatchDocument),
 )
 def send_references(
     spacecraft_id: SpacecraftId,
-    body: Annotated[ReferenceBatchDocument, body_of(ReferenceBatchDocument)],
+    body: Annotated[documents.ReferenceBatchDocument, body_of(documents.ReferenceBatchDocument)],
     context: Context,
-) -> InputReceiptAnswer:
+) -> documents.InputReceiptAnswer:
     """Store attitude references of one sensor.
 
     Signs: seen from the satellite with North up and East right, positive roll moves every station South, positive pitch
@@ -84,33 +59,37 @@ def send_references(
 
 
 @inputs_router.post(
-    "/corrections:batch", dependencies=[may_send(DataKind.CORRECTIONS)], openapi_extra=accepts(CorrectionBatchDocument)
+    "/corrections:batch",
+    dependencies=[may_send(DataKind.CORRECTIONS)],
+    openapi_extra=accepts(documents.CorrectionBatchDocument),
 )
 def send_corrections(
     spacecraft_id: SpacecraftId,
-    body: Annotated[CorrectionBatchDocument, body_of(CorrectionBatchDocument)],
+    body: Annotated[documents.CorrectionBatchDocument, body_of(documents.CorrectionBatchDocument)],
     context: Context,
-) -> InputReceiptAnswer:
+) -> documents.InputReceiptAnswer:
     """Store attitude changes that were commanded through other channels."""
     check_batch_size(len(body.corrections), context, "/corrections")
     return _append(spacecraft_id, context, body.corrections, lambda row: row.to_record())
 
 
 @inputs_router.post(
-    "/telemetry:batch", dependencies=[may_send(DataKind.TELEMETRY)], openapi_extra=accepts(TelemetryBatchDocument)
+    "/telemetry:batch",
+    dependencies=[may_send(DataKind.TELEMETRY)],
+    openapi_extra=accepts(documents.TelemetryBatchDocument),
 )
 def send_telemetry(
     spacecraft_id: SpacecraftId,
-    body: Annotated[TelemetryBatchDocument, body_of(TelemetryBatchDocument)],
+    body: Annotated[documents.TelemetryBatchDocument, body_of(documents.TelemetryBatchDocument)],
     context: Context,
-) -> InputReceiptAnswer:
+) -> documents.InputReceiptAnswer:
     """Store on-board telemetry; a momentum beyond the catalogue's limit is refused, and alarms after three records."""
     check_batch_size(len(body.records), context, "/records")
     limit_n_m_s = context.storage.catalogue.spacecraft(spacecraft_id).wheels.momentum_limit_n_m_s
     momenta = [row for row in body.records if row.wheel_momentum_n_m_s]
     context.storage.alarms.count_refused(spacecraft_id, [row.greatest_n_m_s > limit_n_m_s for row in momenta])
 
-    def fault(row: TelemetryDocument) -> Fault | None:
+    def fault(row: documents.TelemetryDocument) -> documents.Fault | None:
         if row.greatest_n_m_s > limit_n_m_s:
             return "telemetry.momentum", f"a wheel stores at most {limit_n_m_s:g} N m s by the catalogue"
         return row.fault()
@@ -119,14 +98,14 @@ def send_telemetry(
 
 
 @inputs_router.post(
-    "/weather:batch", dependencies=[may_send(DataKind.WEATHER)], openapi_extra=accepts(WeatherBatchDocument)
+    "/weather:batch", dependencies=[may_send(DataKind.WEATHER)], openapi_extra=accepts(documents.WeatherBatchDocument)
 )
 async def send_weather(
     spacecraft_id: SpacecraftId,
-    body: Annotated[WeatherBatchDocument, body_of(WeatherBatchDocument)],
+    body: Annotated[documents.WeatherBatchDocument, body_of(documents.WeatherBatchDocument)],
     context: Context,
     request: Request,
-) -> InputReceiptAnswer:
+) -> documents.InputReceiptAnswer:
     """Store reports of rain over uplink stations, which make "wet" likelier or less likely for their carriers.
 
     The robust method asks them every ten minutes; a report holds for half an hour, and two hours after rain an antenna
@@ -141,14 +120,14 @@ async def send_weather(
 @inputs_router.post(
     "/polarization:batch",
     dependencies=[may_send(DataKind.POLARIZATION)],
-    openapi_extra=accepts(PolarizationBatchDocument),
+    openapi_extra=accepts(documents.PolarizationBatchDocument),
 )
 async def send_polarization(
     spacecraft_id: SpacecraftId,
-    body: Annotated[PolarizationBatchDocument, body_of(PolarizationBatchDocument)],
+    body: Annotated[documents.PolarizationBatchDocument, body_of(documents.PolarizationBatchDocument)],
     context: Context,
     request: Request,
-) -> InputReceiptAnswer:
+) -> documents.InputReceiptAnswer:
     """Store polarisation records of one polarimeter of the catalogue, which measure yaw.
 
     The robust method takes their median each five minutes; a record more than 15 minutes older than the newest row
@@ -161,42 +140,44 @@ async def send_polarization(
 
 
 @inputs_router.get("/attitude-references")
-def list_references(spacecraft_id: SpacecraftId, page: Page, context: Context) -> ReferencePage:
+def list_references(spacecraft_id: SpacecraftId, page: Page, context: Context) -> documents.ReferencePage:
     """List attitude references in order of epoch."""
-    return input_page(spacecraft_id, "reference", page, context, ReferencePage, ReferenceAnswer)
+    return input_page(spacecraft_id, "reference", page, context, documents.ReferencePage, documents.ReferenceAnswer)
 
 
 @inputs_router.get("/corrections")
-def list_corrections(spacecraft_id: SpacecraftId, page: Page, context: Context) -> CorrectionPage:
+def list_corrections(spacecraft_id: SpacecraftId, page: Page, context: Context) -> documents.CorrectionPage:
     """List corrections that overlap the range, in order of start."""
-    return input_page(spacecraft_id, "correction", page, context, CorrectionPage, CorrectionAnswer)
+    return input_page(spacecraft_id, "correction", page, context, documents.CorrectionPage, documents.CorrectionAnswer)
 
 
 @inputs_router.get("/telemetry")
-def list_telemetry(spacecraft_id: SpacecraftId, page: Page, context: Context) -> TelemetryPage:
+def list_telemetry(spacecraft_id: SpacecraftId, page: Page, context: Context) -> documents.TelemetryPage:
     """List telemetry in order of epoch."""
-    return input_page(spacecraft_id, "telemetry", page, context, TelemetryPage, TelemetryAnswer)
+    return input_page(spacecraft_id, "telemetry", page, context, documents.TelemetryPage, documents.TelemetryAnswer)
 
 
 @inputs_router.get("/weather")
-def list_weather(spacecraft_id: SpacecraftId, page: Page, context: Context) -> WeatherPage:
+def list_weather(spacecraft_id: SpacecraftId, page: Page, context: Context) -> documents.WeatherPage:
     """List weather reports in order of epoch."""
-    return input_page(spacecraft_id, "weather", page, context, WeatherPage, WeatherAnswer)
+    return input_page(spacecraft_id, "weather", page, context, documents.WeatherPage, documents.WeatherAnswer)
 
 
 @inputs_router.get("/polarization")
-def list_polarization(spacecraft_id: SpacecraftId, page: Page, context: Context) -> PolarizationPage:
+def list_polarization(spacecraft_id: SpacecraftId, page: Page, context: Context) -> documents.PolarizationPage:
     """List polarisation records in order of epoch."""
-    return input_page(spacecraft_id, "polarization", page, context, PolarizationPage, PolarizationAnswer)
+    return input_page(
+        spacecraft_id, "polarization", page, context, documents.PolarizationPage, documents.PolarizationAnswer
+    )
 
 
 def _append_polarization(
-    spacecraft_id: str, context: ApiContext, body: PolarizationBatchDocument, latest_us: int
-) -> InputReceiptAnswer:
+    spacecraft_id: str, context: ApiContext, body: documents.PolarizationBatchDocument, latest_us: int
+) -> documents.InputReceiptAnswer:
     """Store the records of a polarimeter that the catalogue states."""
     sources = sorted(each.source for each in context.storage.catalogue.spacecraft(spacecraft_id).polarimeters)
 
-    def fault(row: PolarizationDocument) -> Fault | None:
+    def fault(row: documents.PolarizationDocument) -> documents.Fault | None:
         if body.source not in sources:
             known = ", ".join(sources) or "none"
             return "polarimeter.unknown", f"the catalogue states no polarimeter {body.source!r}; it states: {known}"
@@ -208,13 +189,13 @@ def _append_polarization(
 
 
 def _append_weather(
-    spacecraft_id: str, context: ApiContext, body: WeatherBatchDocument, latest_us: int
-) -> InputReceiptAnswer:
+    spacecraft_id: str, context: ApiContext, body: documents.WeatherBatchDocument, latest_us: int
+) -> documents.InputReceiptAnswer:
     """Store the reports about stations of the newest plan; a forecast is no report."""
     carriers = context.storage.catalogue.plan(spacecraft_id).carriers
     stations = {carrier.station.name for carrier in carriers if carrier.station and carrier.station.name}
 
-    def fault(row: WeatherDocument) -> Fault | None:
+    def fault(row: documents.WeatherDocument) -> documents.Fault | None:
         if row.station not in stations:
             known = ", ".join(sorted(stations)) or "none has a name"
             return "station.unknown", f"the newest carrier plan has no station {row.station!r}; it has: {known}"
@@ -230,8 +211,8 @@ def _append(
     context: ApiContext,
     rows: Sequence[R],
     to_record: Callable[[R], SlowInput],
-    fault_of: Callable[[R], Fault | None] = lambda row: row.fault(),
-) -> InputReceiptAnswer:
+    fault_of: Callable[[R], documents.Fault | None] = lambda row: row.fault(),
+) -> documents.InputReceiptAnswer:
     """Store the rows without a fault and return the receipt of all."""
     faults = [fault_of(row) for row in rows]
     # an unknown spacecraft is a 404 whatever the rows say
@@ -251,11 +232,13 @@ def _append(
     if receipt.accepted:
         context.on_accepted(spacecraft_id)
     refused += [(kept[refusal.index], refusal.code, refusal.detail) for refusal in receipt.refused]
-    return InputReceiptAnswer(
+    return documents.InputReceiptAnswer(
         received=len(rows),
         accepted=receipt.accepted,
         duplicates=receipt.duplicates,
-        refused=[InputRefusalAnswer.of_fault(index, (code, detail)) for index, code, detail in sorted(refused)],
+        refused=[
+            documents.InputRefusalAnswer.of_fault(index, (code, detail)) for index, code, detail in sorted(refused)
+        ],
     )
 
 
@@ -286,36 +269,38 @@ def _position(entry: JournalEntry) -> Position:
 
 
 operations_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/operations", tags=["inputs"])
-_ADAPTER = TypeAdapter(OperationDocument)
+_ADAPTER = TypeAdapter(documents.OperationDocument)
 OperationId = Annotated[int, Path(ge=1, le=2**31 - 1)]
 
 
 @operations_router.post(
-    "", status_code=HTTPStatus.CREATED, dependencies=[MAY_OPERATE], openapi_extra=accepts(OperationDocument)
+    "", status_code=HTTPStatus.CREATED, dependencies=[MAY_OPERATE], openapi_extra=accepts(documents.OperationDocument)
 )
 def declare_operation(
     spacecraft_id: SpacecraftId,
-    body: Annotated[OperationDocument, body_of(OperationDocument)],
+    body: Annotated[documents.OperationDocument, body_of(documents.OperationDocument)],
     context: Context,
     response: Response,
-) -> OperationAnswer:
+) -> documents.OperationAnswer:
     """Declare an operation, past, present or future."""
     stored = context.storage.archive.add_operation(spacecraft_id, body.to_record(0))
     context.on_accepted(spacecraft_id)
     response.headers["Location"] = f"/api/v1/spacecraft/{spacecraft_id}/operations/{stored.id}"
-    return OperationAnswer.of(stored)
+    return documents.OperationAnswer.of(stored)
 
 
 @operations_router.get("")
-def list_operations(spacecraft_id: SpacecraftId, page: Page, context: Context) -> OperationPage:
+def list_operations(spacecraft_id: SpacecraftId, page: Page, context: Context) -> documents.OperationPage:
     """List the newest revision of operations that overlap the range."""
-    return input_page(spacecraft_id, "operation", page, context, OperationPage, OperationAnswer)
+    return input_page(spacecraft_id, "operation", page, context, documents.OperationPage, documents.OperationAnswer)
 
 
 @operations_router.get("/{operation_id}")
-def get_operation(spacecraft_id: SpacecraftId, operation_id: OperationId, context: Context) -> OperationAnswer:
+def get_operation(
+    spacecraft_id: SpacecraftId, operation_id: OperationId, context: Context
+) -> documents.OperationAnswer:
     """Return the newest revision of an operation."""
-    return OperationAnswer.of(context.storage.archive.operation(spacecraft_id, operation_id))
+    return documents.OperationAnswer.of(context.storage.archive.operation(spacecraft_id, operation_id))
 
 
 @operations_router.patch("/{operation_id}", dependencies=[MAY_OPERATE], openapi_extra=accepts(MergePatch))
@@ -324,10 +309,10 @@ def change_operation(
     operation_id: OperationId,
     body: Annotated[MergePatch, body_of(MergePatch)],
     context: Context,
-) -> OperationAnswer:
+) -> documents.OperationAnswer:
     """Change fields of an operation; the change is a new revision, the former ones stay in the journal."""
-    stored = OperationAnswer.of(context.storage.archive.operation(spacecraft_id, operation_id))
+    stored = documents.OperationAnswer.of(context.storage.archive.operation(spacecraft_id, operation_id))
     changed = patched(_ADAPTER, stored.model_dump(mode="json", exclude={"id", "revision"}), body)
     result = context.storage.archive.replace_operation(spacecraft_id, changed.to_record(operation_id))
     context.on_accepted(spacecraft_id)
-    return OperationAnswer.of(result)
+    return documents.OperationAnswer.of(result)

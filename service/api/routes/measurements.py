@@ -25,45 +25,29 @@ from service.api.context import (
 from service.api.monitoring.access_log import RequestMetrics
 from service.api.problems.next_steps import NEXT_STEPS
 from service.api.problems.problems import RequestProblemError, invalid_request
-from service.api.protocol.epochs import EpochTextError, ParsedEpochs, parse_epochs
-from service.api.protocol.paging import Page, by_epoch, path_epoch
+from service.api.protocol.paging import EpochTextError, Page, ParsedEpochs, by_epoch, parse_epochs, path_epoch
 from service.api.protocol.requests import accepts, body_of, read_body
+from service.api.schemas import measurements as documents
 from service.api.schemas.base import NAME_PATTERN
-from service.api.schemas.measurements import (
-    MAX_SEQ,
-    CarrierStateAnswer,
-    MeasurementAnswer,
-    MeasurementBatchDocument,
-    MeasurementPage,
-    MeasurementReceiptAnswer,
-    TraceAnswer,
-    TraceBatchDocument,
-    TraceDocument,
-    TraceHeadAnswer,
-    TracePage,
-    TraceReceiptAnswer,
-    TraceRefusalAnswer,
-)
 from service.errors import FieldError, source_not_yours
 from service.formats.numbers import text_of_float32
 from service.pipeline.ingest_screening import EpochBounds, ReceivedRows, screen
 from service.records.epoch import format_epoch
 from service.records.levels.attitude import CarrierState
-from service.records.levels.measurement import BatchReceipt, Measurement, RowNotice, RowRefusal, Sender
-from service.records.levels.sweep import KeptTrace, Ring
+from service.records.levels.measurement import BatchReceipt, KeptTrace, Measurement, Ring, RowNotice, RowRefusal, Sender
 from service.records.operations.access import DataKind
 
 measurements_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/measurements", tags=["measurements"])
 
 
 @measurements_router.get("")
-def get_measurements(spacecraft_id: SpacecraftId, context: Context, names: Names) -> list[CarrierStateAnswer]:
+def get_measurements(spacecraft_id: SpacecraftId, context: Context, names: Names) -> list[documents.CarrierStateAnswer]:
     """Return the newest row carrier by carrier; empty before the first."""
     known = context.supervisor.carrier_states(spacecraft_id) or _archived(spacecraft_id, context, names)
     if known is None:
         return []
     measurement, states = known
-    return [CarrierStateAnswer.of(measurement, k, state) for k, state in enumerate(states)]
+    return [documents.CarrierStateAnswer.of(measurement, k, state) for k, state in enumerate(states)]
 
 
 @measurements_router.get("/history")
@@ -74,16 +58,16 @@ def list_measurements(
     names: Names,
     source: Annotated[str | None, Query(max_length=64, description="Only rows of this source")] = None,
     carrier: Annotated[list[str] | None, Query(max_length=1000, description="Only these carriers")] = None,
-) -> MeasurementPage:
+) -> documents.MeasurementPage:
     """List rows of carrier powers of every source in order of epoch."""
     read = context.storage.archive.measurements
     found = read(spacecraft_id, page.part, source)
     wanted = None if carrier is None else frozenset(carrier)
 
-    def of(row: Measurement) -> MeasurementAnswer:
-        return MeasurementAnswer.of(row, names.of(spacecraft_id, row.plan_id), wanted)
+    def of(row: Measurement) -> documents.MeasurementAnswer:
+        return documents.MeasurementAnswer.of(row, names.of(spacecraft_id, row.plan_id), wanted)
 
-    return page.answer(MeasurementPage, found, by_epoch, of)
+    return page.answer(documents.MeasurementPage, found, by_epoch, of)
 
 
 def _archived(
@@ -104,15 +88,15 @@ def _archived(
 
 
 measurements_ingest_router = APIRouter(prefix="/spacecraft/{spacecraft_id}", tags=["measurements"])
-_ADAPTER = TypeAdapter(MeasurementBatchDocument)
+_ADAPTER = TypeAdapter(documents.MeasurementBatchDocument)
 _NOTHING_STORED = BatchReceipt(0, 0, 0, ())
 
 
 @measurements_ingest_router.post(
     "/measurements:batch",
     dependencies=[may_send(DataKind.POWERS)],
-    openapi_extra=accepts(MeasurementBatchDocument),
-    response_model=MeasurementReceiptAnswer,
+    openapi_extra=accepts(documents.MeasurementBatchDocument),
+    response_model=documents.MeasurementReceiptAnswer,
 )
 async def send_measurements(spacecraft_id: SpacecraftIdText, request: Request) -> Response:
     """Store rows of carrier powers; the answer leaves after the commit that made them durable."""
@@ -121,8 +105,8 @@ async def send_measurements(spacecraft_id: SpacecraftIdText, request: Request) -
     checked_spacecraft_id(spacecraft_id)
     body = await read_body(request, _ADAPTER)
     check_batch_size(len(body.measurements), context, "/measurements")
-    if body.first_seq is not None and body.first_seq + len(body.measurements) > MAX_SEQ:
-        detail = f"the sequence number of the last row would exceed {MAX_SEQ}; begin again at 0"
+    if body.first_seq is not None and body.first_seq + len(body.measurements) > documents.MAX_SEQ:
+        detail = f"the sequence number of the last row would exceed {documents.MAX_SEQ}; begin again at 0"
         raise invalid_request([FieldError("/first_seq", "value.range", detail)])
     epochs = _epochs(body)
     width = await widths.width(spacecraft_id, body.plan_id)
@@ -163,7 +147,7 @@ def check_batch_size(size: int, context: ApiContext, pointer: str) -> None:
         raise RequestProblemError(422, "batch.too_long", detail, [FieldError(pointer, "batch.too_long", detail)])
 
 
-def _epochs(body: MeasurementBatchDocument) -> ParsedEpochs:
+def _epochs(body: documents.MeasurementBatchDocument) -> ParsedEpochs:
     """Return the epochs of a batch; 422 names the first that is none."""
     try:
         return parse_epochs([row["epoch"] for row in body.measurements])
@@ -173,7 +157,7 @@ def _epochs(body: MeasurementBatchDocument) -> ParsedEpochs:
 
 
 def _answer(
-    body: MeasurementBatchDocument,
+    body: documents.MeasurementBatchDocument,
     receipt: BatchReceipt,
     screened: tuple[RowRefusal, ...],
     leap_positions: Sequence[int],
@@ -216,24 +200,26 @@ SourceParameter = Annotated[str | None, Query(pattern=NAME_PATTERN, description=
 SweepParameter = Annotated[str | None, Query(pattern=NAME_PATTERN, description="Only traces of this sweep")]
 
 
-@traces_router.post("", dependencies=[may_send(DataKind.POWERS)], openapi_extra=accepts(TraceBatchDocument))
+@traces_router.post("", dependencies=[may_send(DataKind.POWERS)], openapi_extra=accepts(documents.TraceBatchDocument))
 async def send_traces(
     spacecraft_id: SpacecraftId,
-    body: Annotated[TraceBatchDocument, body_of(TraceBatchDocument)],
+    body: Annotated[documents.TraceBatchDocument, body_of(documents.TraceBatchDocument)],
     context: Context,
     request: Request,
-) -> TraceReceiptAnswer:
+) -> documents.TraceReceiptAnswer:
     """Keep traces of one source; the oldest ones of the source make place."""
     limits: EpochLimits = request.app.state.epoch_limits
     bounds = await limits.present(spacecraft_id)
     await run_in_threadpool(_require_own, context, spacecraft_id, body.source, request.state.principal)
     faults = [_fault(trace, bounds) for trace in body.traces]
     kept = [trace.to_record() for trace, fault in zip(body.traces, faults, strict=True) if fault is None]
-    refused = [TraceRefusalAnswer.of_fault(index, fault) for index, fault in enumerate(faults) if fault is not None]
+    refused = [
+        documents.TraceRefusalAnswer.of_fault(index, fault) for index, fault in enumerate(faults) if fault is not None
+    ]
     ring = Ring(context.limits.evidence_traces, context.limits.evidence_bytes)
     now_us = context.clock.system_us()
     receipt = await run_in_threadpool(context.storage.traces.append, spacecraft_id, body.source, kept, now_us, ring)
-    return TraceReceiptAnswer.of(receipt, refused)
+    return documents.TraceReceiptAnswer.of(receipt, refused)
 
 
 @traces_router.get("")
@@ -243,14 +229,14 @@ def list_traces(
     context: Context,
     source: SourceParameter = None,
     sweep: SweepParameter = None,
-) -> TracePage:
+) -> documents.TracePage:
     """List kept traces, without their points, in order of epoch."""
     read = context.storage.traces.heads
     found = read(spacecraft_id, page.part, source, sweep)
-    return page.answer(TracePage, found, by_epoch, TraceHeadAnswer.of)
+    return page.answer(documents.TracePage, found, by_epoch, documents.TraceHeadAnswer.of)
 
 
-@traces_router.get("/{epoch}", response_model=TraceAnswer, responses=_CSV_ANSWER)
+@traces_router.get("/{epoch}", response_model=documents.TraceAnswer, responses=_CSV_ANSWER)
 def get_trace(
     spacecraft_id: SpacecraftId,
     epoch: Annotated[str, Path(max_length=64, description="RFC 3339, middle of the dwell")],
@@ -266,7 +252,7 @@ def get_trace(
     trace = context.storage.traces.trace(spacecraft_id, path_epoch("epoch", epoch), source, sweep)
     wants_csv = _CSV in request.headers.get("accept", "").lower() if form is None else form == "csv"
     if not wants_csv:
-        return TraceAnswer.of_trace(trace)
+        return documents.TraceAnswer.of_trace(trace)
     name = f"{spacecraft_id}-{trace.head.source}-{trace.head.sweep}-{trace.head.epoch_us}.csv".replace(":", "_")
     headers = {"Content-Disposition": f'attachment; filename="{name}"', "Vary": "Accept"}
     return Response(_as_csv(trace), media_type=_CSV, headers=headers)
@@ -279,7 +265,7 @@ def _require_own(context: ApiContext, spacecraft_id: str, name: str, principal: 
             raise source_not_yours(name, source.station, principal.station)
 
 
-def _fault(trace: TraceDocument, bounds: EpochBounds) -> tuple[str, str] | None:
+def _fault(trace: documents.TraceDocument, bounds: EpochBounds) -> tuple[str, str] | None:
     """Return why a trace is refused; one from the future would push all others out of the ring."""
     if trace.epoch < bounds.earliest_us:
         return "time.too_old", f"nothing before {format_epoch(bounds.earliest_us)} is kept"

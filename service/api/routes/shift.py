@@ -16,32 +16,11 @@ from service.api.context import SPACECRAFT_ID_PATTERN, ApiContext, Context, Spac
 from service.api.problems.problems import invalid_request
 from service.api.protocol.paging import Page
 from service.api.protocol.requests import accepts, body_of, optional_body
+from service.api.schemas import shift as documents
 from service.api.schemas.base import NAME_PATTERN
-from service.api.schemas.shift import (
-    AlarmAnswer,
-    AlarmChangeAnswer,
-    AlarmHistoryAnswer,
-    AlarmPage,
-    ConditionLimitsAnswer,
-    HandoverAnswer,
-    LimitsAnswer,
-    LimitsDocument,
-    LimitsInForceAnswer,
-    LinkAnswer,
-    LinkListAnswer,
-    LinkReportsDocument,
-    LinkWishAnswer,
-    LinkWishesAnswer,
-    NoteAnswer,
-    NoteDocument,
-    NotePage,
-    RemarkDocument,
-    ShelveDocument,
-    StateWord,
-)
 from service.api.views.present import alarm_answer, handover_of, link_answers
 from service.errors import NotFoundError
-from service.pipeline.alarms.limit_sets import faults_of, limits_in_force
+from service.pipeline.alarms.conditions import faults_of, limits_in_force
 from service.records.operations.alarms import Alarm, Note
 from service.runtime.control.release_service import ReleaseService
 
@@ -50,10 +29,10 @@ TAG = "control"
 
 def accepts_comment() -> dict[str, Any]:
     """Return the OpenAPI description of an optional comment."""
-    return accepts(RemarkDocument, is_required=False)
+    return accepts(documents.RemarkDocument, is_required=False)
 
 
-Said = Annotated[RemarkDocument, optional_body(RemarkDocument)]
+Said = Annotated[documents.RemarkDocument, optional_body(documents.RemarkDocument)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,37 +83,37 @@ Version = Annotated[int | None, Query(ge=0, le=2**31 - 1, description="Default t
 
 
 @alarm_limits_router.get("")
-def get_alarm_limits(spacecraft_id: SpacecraftId, context: Context, version: Version = None) -> LimitsAnswer:
+def get_alarm_limits(spacecraft_id: SpacecraftId, context: Context, version: Version = None) -> documents.LimitsAnswer:
     """Return what a version states; the answer can be put back, here or for another spacecraft."""
     context.storage.catalogue.spacecraft(spacecraft_id)
-    return LimitsAnswer.of(context.storage.alarms.limits(spacecraft_id, version))
+    return documents.LimitsAnswer.of(context.storage.alarms.limits(spacecraft_id, version))
 
 
-@alarm_limits_router.put("", dependencies=[MAY_OPERATE], openapi_extra=accepts(LimitsDocument))
+@alarm_limits_router.put("", dependencies=[MAY_OPERATE], openapi_extra=accepts(documents.LimitsDocument))
 def put_alarm_limits(
     spacecraft_id: SpacecraftId,
-    body: Annotated[LimitsDocument, body_of(LimitsDocument)],
+    body: Annotated[documents.LimitsDocument, body_of(documents.LimitsDocument)],
     context: Context,
     principal: CurrentPrincipal,
-) -> LimitsAnswer:
+) -> documents.LimitsAnswer:
     """State limits in place of the newest version; former versions are kept."""
     context.storage.catalogue.spacecraft(spacecraft_id)
     limits = body.to_record(context.clock.system_us(), principal.name)
     faults = faults_of(context.alarms.conditions, limits)
     if faults:
         raise invalid_request(faults)
-    return LimitsAnswer.of(context.alarms.put_limits(spacecraft_id, limits))
+    return documents.LimitsAnswer.of(context.alarms.put_limits(spacecraft_id, limits))
 
 
 @alarm_limits_router.get("/in-force")
-def get_limits_in_force(spacecraft_id: SpacecraftId, context: Context) -> LimitsInForceAnswer:
+def get_limits_in_force(spacecraft_id: SpacecraftId, context: Context) -> documents.LimitsInForceAnswer:
     """Return the limits of every condition as they hold now, and the sets that make them."""
     context.storage.catalogue.spacecraft(spacecraft_id)
     stated = context.storage.alarms.limits(spacecraft_id)
     sets = context.alarms.sets_in_force(spacecraft_id)
     limits = limits_in_force(context.alarms.conditions, stated, sets)
-    reported = {name: ConditionLimitsAnswer.of(name, each) for name, each in limits.items()}
-    return LimitsInForceAnswer(version=stated.version, sets=list(sets), conditions=reported)
+    reported = {name: documents.ConditionLimitsAnswer.of(name, each) for name, each in limits.items()}
+    return documents.LimitsInForceAnswer(version=stated.version, sets=list(sets), conditions=reported)
 
 
 #: lists stand below a spacecraft, ids are global
@@ -148,54 +127,60 @@ def list_alarms(
     spacecraft_id: SpacecraftId,
     page: Page,
     context: Context,
-    state: Annotated[list[StateWord] | None, Query(description="Default open; may be repeated")] = None,
-) -> AlarmPage:
+    state: Annotated[list[documents.StateWord] | None, Query(description="Default open; may be repeated")] = None,
+) -> documents.AlarmPage:
     """List alarms of a spacecraft and of the service raised in the range, by default the active ones."""
     context.storage.catalogue.spacecraft(spacecraft_id)
     states = state or ["open"]
     read = context.storage.alarms.alarms
     found = read(spacecraft_id, states, page.part)
-    return page.answer(AlarmPage, found, lambda alarm: (alarm.raised_at_us, alarm.id), partial(_reported, context))
+    return page.answer(
+        documents.AlarmPage, found, lambda alarm: (alarm.raised_at_us, alarm.id), partial(_reported, context)
+    )
 
 
 @alarms_router.get("/{alarm_id}")
-def get_alarm(alarm_id: AlarmId, context: Context) -> AlarmHistoryAnswer:
+def get_alarm(alarm_id: AlarmId, context: Context) -> documents.AlarmHistoryAnswer:
     """Return an alarm and what happened to it."""
     alarm = context.storage.alarms.alarm(alarm_id)
-    changes = [AlarmChangeAnswer.of(change) for change in context.storage.alarms.changes(alarm_id)]
-    return AlarmHistoryAnswer(alarm=_reported(context, alarm), changes=changes)
+    changes = [documents.AlarmChangeAnswer.of(change) for change in context.storage.alarms.changes(alarm_id)]
+    return documents.AlarmHistoryAnswer(alarm=_reported(context, alarm), changes=changes)
 
 
 @alarms_router.post("/{alarm_id}:acknowledge", dependencies=[MAY_OPERATE], openapi_extra=accepts_comment())
-def acknowledge_alarm(alarm_id: AlarmId, body: Said, context: Context, principal: CurrentPrincipal) -> AlarmAnswer:
+def acknowledge_alarm(
+    alarm_id: AlarmId, body: Said, context: Context, principal: CurrentPrincipal
+) -> documents.AlarmAnswer:
     """Acknowledge the alarm; no further notice unless it becomes worse or comes back."""
     return _reported(context, context.alarms.acknowledge(alarm_id, principal.name, body.comment))
 
 
-@alarms_router.post("/{alarm_id}:shelve", dependencies=[MAY_OPERATE], openapi_extra=accepts(ShelveDocument))
+@alarms_router.post("/{alarm_id}:shelve", dependencies=[MAY_OPERATE], openapi_extra=accepts(documents.ShelveDocument))
 def shelve_alarm(
     alarm_id: AlarmId,
-    body: Annotated[ShelveDocument, body_of(ShelveDocument)],
+    body: Annotated[documents.ShelveDocument, body_of(documents.ShelveDocument)],
     context: Context,
     principal: CurrentPrincipal,
-) -> AlarmAnswer:
+) -> documents.AlarmAnswer:
     """Keep the alarm quiet until an instant, at most 24 h ahead."""
     return _reported(context, context.alarms.shelve(alarm_id, principal.name, body.comment, body.until))
 
 
 @alarms_router.post("/{alarm_id}:unshelve", dependencies=[MAY_OPERATE], openapi_extra=accepts_comment())
-def unshelve_alarm(alarm_id: AlarmId, body: Said, context: Context, principal: CurrentPrincipal) -> AlarmAnswer:
+def unshelve_alarm(
+    alarm_id: AlarmId, body: Said, context: Context, principal: CurrentPrincipal
+) -> documents.AlarmAnswer:
     """End a shelving before its time."""
     return _reported(context, context.alarms.unshelve(alarm_id, principal.name, body.comment))
 
 
 @alarms_router.post("/{alarm_id}:clear", dependencies=[MAY_OPERATE], openapi_extra=accepts_comment())
-def clear_alarm(alarm_id: AlarmId, body: Said, context: Context, principal: CurrentPrincipal) -> AlarmAnswer:
+def clear_alarm(alarm_id: AlarmId, body: Said, context: Context, principal: CurrentPrincipal) -> documents.AlarmAnswer:
     """Close the alarm; a condition that still holds alarms again after its delay."""
     return _reported(context, context.alarms.clear(alarm_id, principal.name, body.comment))
 
 
-def _reported(context: Context, alarm: Alarm) -> AlarmAnswer:
+def _reported(context: Context, alarm: Alarm) -> documents.AlarmAnswer:
     """Return an alarm with what follows from it."""
     is_alone = alarm.cause is not None or not alarm.is_open
     return alarm_answer(context, alarm, () if is_alone else context.storage.alarms.open_alarms(alarm.spacecraft_id))
@@ -205,7 +190,7 @@ handover_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/handover", tags=
 
 
 @handover_router.get("")
-def get_handover(spacecraft_id: SpacecraftId, context: Context) -> HandoverAnswer:
+def get_handover(spacecraft_id: SpacecraftId, context: Context) -> documents.HandoverAnswer:
     """Return alarms, control, ages, links, missing rows and newest notes of a spacecraft."""
     return handover_of(context, spacecraft_id)
 
@@ -221,20 +206,22 @@ LinksOfSpacecraft = Annotated[
 report_router = APIRouter(tags=["links"])
 
 
-@report_router.post("/links:report", dependencies=[MAY_SEND], openapi_extra=accepts(LinkReportsDocument))
+@report_router.post("/links:report", dependencies=[MAY_SEND], openapi_extra=accepts(documents.LinkReportsDocument))
 def report_links(
-    body: Annotated[LinkReportsDocument, body_of(LinkReportsDocument)], context: Context
-) -> LinkWishesAnswer:
+    body: Annotated[documents.LinkReportsDocument, body_of(documents.LinkReportsDocument)], context: Context
+) -> documents.LinkWishesAnswer:
     """Store the reports of a front end and return the requested state of its links."""
     states = context.storage.links.report([each.to_record() for each in body.links], context.clock.system_us())
-    requests = [LinkWishAnswer(id=state.report.id, enabled=state.enabled, reset=state.resets) for state in states]
-    return LinkWishesAnswer(links=requests)
+    requests = [
+        documents.LinkWishAnswer(id=state.report.id, enabled=state.enabled, reset=state.resets) for state in states
+    ]
+    return documents.LinkWishesAnswer(links=requests)
 
 
 @links_router.get("")
-def list_links(context: Context, spacecraft_id: LinksOfSpacecraft = None) -> LinkListAnswer:
+def list_links(context: Context, spacecraft_id: LinksOfSpacecraft = None) -> documents.LinkListAnswer:
     """List the links that have reported."""
-    return LinkListAnswer(links=link_answers(context, context.storage.links.links(spacecraft_id)))
+    return documents.LinkListAnswer(links=link_answers(context, context.storage.links.links(spacecraft_id)))
 
 
 async def _link_id(link_id: Annotated[str, Path(description="Id of a link")]) -> str:
@@ -248,27 +235,27 @@ LinkId = Annotated[str, Depends(_link_id)]
 
 
 @links_router.get("/{link_id}")
-def get_link(link_id: LinkId, context: Context) -> LinkAnswer:
+def get_link(link_id: LinkId, context: Context) -> documents.LinkAnswer:
     """Return one link."""
     return link_answers(context, [context.storage.links.link(link_id)])[0]
 
 
 @links_router.post("/{link_id}:enable", dependencies=[MAY_OPERATE])
-def enable_link(link_id: LinkId, context: Context) -> LinkAnswer:
+def enable_link(link_id: LinkId, context: Context) -> documents.LinkAnswer:
     """Let a link work; it hears of it with its next report."""
     state = context.storage.links.set_enabled(link_id, enabled=True)
     return link_answers(context, [state])[0]
 
 
 @links_router.post("/{link_id}:disable", dependencies=[MAY_OPERATE])
-def disable_link(link_id: LinkId, context: Context) -> LinkAnswer:
+def disable_link(link_id: LinkId, context: Context) -> documents.LinkAnswer:
     """Let a link rest until it is enabled again, also beyond a restart of either side."""
     state = context.storage.links.set_enabled(link_id, enabled=False)
     return link_answers(context, [state])[0]
 
 
 @links_router.post("/{link_id}:reset", dependencies=[MAY_OPERATE])
-def reset_link(link_id: LinkId, context: Context) -> LinkAnswer:
+def reset_link(link_id: LinkId, context: Context) -> documents.LinkAnswer:
     """Ask a link to zero its counters and to begin again."""
     state = context.storage.links.request_reset(link_id)
     return link_answers(context, [state])[0]
@@ -288,13 +275,15 @@ NotesOfSpacecraft = Annotated[
 ]
 
 
-@notes_router.post("", status_code=HTTPStatus.CREATED, dependencies=[MAY_OPERATE], openapi_extra=accepts(NoteDocument))
+@notes_router.post(
+    "", status_code=HTTPStatus.CREATED, dependencies=[MAY_OPERATE], openapi_extra=accepts(documents.NoteDocument)
+)
 def write_note(
-    body: Annotated[NoteDocument, body_of(NoteDocument)],
+    body: Annotated[documents.NoteDocument, body_of(documents.NoteDocument)],
     context: Context,
     principal: CurrentPrincipal,
     response: Response,
-) -> NoteAnswer:
+) -> documents.NoteAnswer:
     """Write a note."""
     now_us = context.clock.system_us()
     if body.spacecraft_id is not None:
@@ -306,18 +295,18 @@ def write_note(
     fresh = Note(0, body.spacecraft_id, epoch_us, now_us, principal.name, body.text, tuple(body.tags), body.corrects)
     note = context.storage.notes.add(fresh)
     response.headers["Location"] = f"/api/v1/notes/{note.id}"
-    return NoteAnswer.of(note)
+    return documents.NoteAnswer.of(note)
 
 
 @notes_router.get("")
-def list_notes(page: Page, context: Context, spacecraft_id: NotesOfSpacecraft = None) -> NotePage:
+def list_notes(page: Page, context: Context, spacecraft_id: NotesOfSpacecraft = None) -> documents.NotePage:
     """List notes about instants of the range."""
     read = context.storage.notes.notes
     found = read(page.part, spacecraft_id)
-    return page.answer(NotePage, found, lambda note: (note.epoch_us, note.id), NoteAnswer.of)
+    return page.answer(documents.NotePage, found, lambda note: (note.epoch_us, note.id), documents.NoteAnswer.of)
 
 
 @notes_router.get("/{note_id}")
-def get_note(note_id: NoteId, context: Context) -> NoteAnswer:
+def get_note(note_id: NoteId, context: Context) -> documents.NoteAnswer:
     """Return one note."""
-    return NoteAnswer.of(context.storage.notes.note(note_id))
+    return documents.NoteAnswer.of(context.storage.notes.note(note_id))

@@ -24,7 +24,7 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from service.api.problems.next_steps import NEXT_STEPS
-from service.api.protocol.epochs import epoch_of, plausible_epoch
+from service.api.protocol.paging import epoch_of, plausible_epoch
 from service.records.catalogue import LIVE_METHODS, Method
 from service.records.epoch import format_epoch
 from service.records.levels.attitude import Axes

@@ -20,21 +20,7 @@ from service.api.schemas.base import (
     record_of,
 )
 from service.pipeline.calibration.window_harmonics import CarrierHarmonic, DishLaw
-from service.records.calibration import (
-    Alignment,
-    Calibration,
-    CalibrationMethod,
-    CalibrationRequest,
-    CalibrationResult,
-    CarrierCalibration,
-    CarrierReference,
-    Harmonic,
-    MotionVerdict,
-    NoiseComponent,
-    Observability,
-    PolarimeterCheck,
-    Window,
-)
+from service.records import calibration as records
 from service.records.catalogue import Method
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import Axes
@@ -63,9 +49,9 @@ class WindowDocument(Document):
             raise PydanticCustomError("range.invalid", "start must lie before stop")
         return self
 
-    def to_record(self) -> Window:
+    def to_record(self) -> records.Window:
         """Return the window that this document states."""
-        return Window(self.start, self.stop)
+        return records.Window(self.start, self.stop)
 
 
 class SensorsDocument(Document):
@@ -105,7 +91,7 @@ class CalibrationDocument(SensorChoice):
     """Days without turns: give harmonics and levels."""
     turns: WindowDocument
     """Calibration turns: give sensitivities."""
-    method: CalibrationMethod
+    method: records.CalibrationMethod
 
     @model_validator(mode="after")
     def _check_length(self) -> Self:
@@ -116,9 +102,9 @@ class CalibrationDocument(SensorChoice):
             )
         return self
 
-    def to_record(self) -> CalibrationRequest:
+    def to_record(self) -> records.CalibrationRequest:
         """Return the request that this document states."""
-        return CalibrationRequest(self.quiet.to_record(), self.turns.to_record(), self.method, *self.of_axis)
+        return records.CalibrationRequest(self.quiet.to_record(), self.turns.to_record(), self.method, *self.of_axis)
 
 
 class ActivationDocument(Document):
@@ -135,11 +121,11 @@ class CalibrationStartedAnswer(Answer):
     job: str
 
 
-class HarmonicAnswer(members_of(Harmonic, types={"period_s": float}), Answer):
+class HarmonicAnswer(members_of(records.Harmonic, types={"period_s": float}), Answer):
     """Daily harmonic of a carrier and how well it was found."""
 
 
-class NoiseAnswer(members_of(NoiseComponent), Answer):
+class NoiseAnswer(members_of(records.NoiseComponent), Answer):
     """One coloured part of a carrier's noise."""
 
 
@@ -167,7 +153,8 @@ _CRITERIA = (
 
 
 class CarrierCalibrationAnswer(
-    members_of(CarrierCalibration, without=_CRITERIA, types={"noise": NoiseAnswer, "harmonic": HarmonicAnswer}), Answer
+    members_of(records.CarrierCalibration, without=_CRITERIA, types={"noise": NoiseAnswer, "harmonic": HarmonicAnswer}),
+    Answer,
 ):
     """Result of a calibration for one carrier."""
 
@@ -175,19 +162,19 @@ class CarrierCalibrationAnswer(
     linearity: LinearityAnswer
 
     @classmethod
-    def of(cls, carrier: CarrierCalibration) -> Self:
+    def of(cls, carrier: records.CarrierCalibration) -> Self:
         """Return the answer for the calibration of a carrier."""
         return super().of(carrier, stability=carrier, linearity=carrier)
 
 
-class ObservabilityAnswer(members_of(Observability), Answer):
+class ObservabilityAnswer(members_of(records.Observability), Answer):
     """Observability of the attitude by the selected carriers."""
 
 
-class CalibrationAnswer(members_of(Calibration, without=("request", "result")), Answer):
+class CalibrationAnswer(members_of(records.Calibration, without=("request", "result")), Answer):
     """One calibration; figures are there when its job has ended well."""
 
-    method: CalibrationMethod
+    method: records.CalibrationMethod
     quiet: WindowAnswer
     turns: WindowAnswer
     sources: SensorsDocument
@@ -211,7 +198,7 @@ class CalibrationAnswer(members_of(Calibration, without=("request", "result")), 
     """That makes it, while this process of the service runs it: its progress stands at `/jobs/{job_id}`."""
 
     @classmethod
-    def of(cls, calibration: Calibration, *, job: str | None = None) -> Self:
+    def of(cls, calibration: records.Calibration, *, job: str | None = None) -> Self:
         """Return the answer for a calibration and the job that makes it."""
         request, result = calibration.request, calibration.result
         return super().of(
@@ -233,16 +220,20 @@ class CalibrationList(RowList):
     rows: list[CalibrationAnswer]
 
 
-def _worst(checks: tuple[PolarimeterCheck, ...]) -> str:
+def _worst(checks: tuple[records.PolarimeterCheck, ...]) -> str:
     """Return the worst verdict on a polarimeter."""
     verdicts = {check.verdict for check in checks}
-    for verdict in (MotionVerdict.CONTRADICTED, MotionVerdict.UNCHECKED, MotionVerdict.CONSISTENT):
+    for verdict in (
+        records.MotionVerdict.CONTRADICTED,
+        records.MotionVerdict.UNCHECKED,
+        records.MotionVerdict.CONSISTENT,
+    ):
         if verdict in verdicts:
             return verdict.value
     return "not_stated"
 
 
-def _quality(result: CalibrationResult | None) -> dict[str, float | str | list[str]]:
+def _quality(result: records.CalibrationResult | None) -> dict[str, float | str | list[str]]:
     """Return the figures of the whole, the signs and the warnings."""
     if result is None:
         return {"warnings": []}
@@ -318,7 +309,7 @@ class AlignmentDocument(Document):
     def to_request(self, created_by: str) -> AlignmentRequest:
         """Return the request that this document states."""
         return AlignmentRequest(
-            window=None if self.start is None or self.stop is None else Window(self.start, self.stop),
+            window=None if self.start is None or self.stop is None else records.Window(self.start, self.stop),
             source_of_axis=None if self.is_manual else self._of_axis(),
             stated=self._stated(),
             override_reason=self.override_reason,
@@ -343,13 +334,13 @@ class AlignmentDocument(Document):
         return self.epoch, angles, Axes(sigma.yaw, sigma.roll, sigma.pitch)
 
 
-class CarrierReferenceAnswer(members_of(CarrierReference), Answer):
+class CarrierReferenceAnswer(members_of(records.CarrierReference), Answer):
     """Reference power of one carrier, harmonic removed."""
 
 
 class AlignmentAnswer(
     members_of(
-        Alignment,
+        records.Alignment,
         flat=("attitude_deg",),
         types={
             "window": WindowAnswer,
@@ -421,7 +412,7 @@ class WindowHarmonicsAnswer(Answer):
     carriers: list[CarrierHarmonicAnswer]
 
     @classmethod
-    def of(cls, window: Window, method: Method, harmonics: WindowHarmonics) -> Self:
+    def of(cls, window: records.Window, method: Method, harmonics: WindowHarmonics) -> Self:
         """Return the answer for the harmonics of a window."""
         carriers = [CarrierHarmonicAnswer.of(fit) for fit in harmonics.carriers]
         return super().of(harmonics, range=window, method=method, carriers=carriers)

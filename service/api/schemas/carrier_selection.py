@@ -7,14 +7,7 @@ import numpy as np
 from pydantic import BeforeValidator
 
 from service.api.schemas.base import AnglesAnswer, Answer, Figure
-from service.pipeline.planning.candidates import Candidates, MomentumGain, MotionGain
-from service.pipeline.planning.planning import (
-    AVERAGING_SPANS_S,
-    CarrierSet,
-    Recommendation,
-    TurnStep,
-    turn_timetable,
-)
+from service.pipeline.planning import planning
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import named_axes
 from service.runtime.jobs.analysis import CarrierRecommendation
@@ -58,7 +51,7 @@ class RecommendedCarrierAnswer(Answer):
     reasons: list[str]
 
     @classmethod
-    def of(cls, recommendation: Recommendation, k: int) -> Self:
+    def of(cls, recommendation: planning.Recommendation, k: int) -> Self:
         """Return the answer for what is recommended of the k-th carrier."""
         candidates, word = recommendation.candidates, recommendation.words[k]
         return super().of(
@@ -120,7 +113,7 @@ class CarrierSetAnswer(Answer):
     carriers: list[SetCarrierAnswer]
 
     @classmethod
-    def of(cls, found: CarrierSet, candidates: Candidates) -> Self:
+    def of(cls, found: planning.CarrierSet, candidates: planning.Candidates) -> Self:
         """Return the answer for a set."""
         statistics = found.figures
         names = [candidates.carrier_ids[k] for k in found.chosen]
@@ -133,7 +126,7 @@ class CarrierSetAnswer(Answer):
             }
             for k, name in enumerate(names)
         ]
-        averaged = zip(AVERAGING_SPANS_S, found.averaged_deg, strict=True)
+        averaged = zip(planning.AVERAGING_SPANS_S, found.averaged_deg, strict=True)
         return super().of(
             statistics,
             selected=names,
@@ -170,7 +163,7 @@ class TurnStepAnswer(Answer):
     pitch_deg: float
 
     @classmethod
-    def of(cls, step: TurnStep) -> Self:
+    def of(cls, step: planning.TurnStep) -> Self:
         """Return the answer for a level of turns that start at 0."""
         yaw_deg, roll_deg, pitch_deg = step.attitude_deg
         return cls(
@@ -191,7 +184,7 @@ class TurnsAnswer(Answer):
     @classmethod
     def of(cls, turns: Turns) -> Self:
         """Return the answer for the turns asked for."""
-        steps = turn_timetable(0, far_yaw=turns is Turns.FAR_YAW)
+        steps = planning.turn_timetable(0, far_yaw=turns is Turns.FAR_YAW)
         return cls(total_s=steps[-1].stop_us / US_PER_S, steps=[TurnStepAnswer.of(step) for step in steps])
 
 
@@ -221,7 +214,7 @@ class MomentumGainAnswer(Answer):
     """By powers and momentum."""
 
     @classmethod
-    def of(cls, gain: MomentumGain) -> Self:
+    def of(cls, gain: planning.MomentumGain) -> Self:
         """Return the answer for a gain."""
         return super().of(gain, **gain.wheels._asdict())
 
@@ -239,7 +232,7 @@ class MotionGainAnswer(Answer):
     """By powers and all of these, the momentum of the wheels included."""
 
     @classmethod
-    def of(cls, gain: MotionGain) -> Self:
+    def of(cls, gain: planning.MotionGain) -> Self:
         """Return the answer for a gain."""
         return super().of(gain)
 

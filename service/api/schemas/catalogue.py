@@ -29,25 +29,13 @@ from service.core.control.quaternion_law import loop_gains
 from service.formats.ephemeris import MAX_PERIOD_S, MAX_POINTS, MIN_PERIOD_S, ephemeris_from_nodes, read_oem, read_tle
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.control_design import gyro_design
+from service.records import catalogue as records
 from service.records.calibration import Window
-from service.records.catalogue import (
-    Carrier,
-    CarrierPlan,
-    ControlLaw,
-    ControlMode,
-    Ephemeris,
-    Matrix3,
-    Method,
-    Release,
-    Spacecraft,
-    Track,
-    WheelSet,
-)
 from service.records.epoch import format_epoch
 
 MAX_CARRIERS = 512
 #: fields of the document are those of the record
-_CARRIER = TypeAdapter(Carrier)
+_CARRIER = TypeAdapter(records.Carrier)
 FrequencyHz = Annotated[float, Field(gt=0, le=1e12)]
 
 
@@ -89,7 +77,7 @@ class CarrierDocument(Document):
             raise PydanticCustomError("carrier.uplink_missing", "a carrier that is no beacon needs its uplink_hz")
         return self
 
-    def to_record(self) -> Carrier:
+    def to_record(self) -> records.Carrier:
         """Return the record that this document states."""
         return _CARRIER.validate_python(self.model_dump())
 
@@ -115,7 +103,7 @@ class CarrierPlanDocument(Document):
         _check_ids(self.carriers)
         return self
 
-    def to_records(self) -> tuple[Carrier, ...]:
+    def to_records(self) -> tuple[records.Carrier, ...]:
         """Return the records that this document states."""
         return tuple(carrier.to_record() for carrier in self.carriers)
 
@@ -141,13 +129,13 @@ class CarrierPlanAnswer(Answer):
     carriers: list[CarrierDocument]
 
     @classmethod
-    def of(cls, plan: CarrierPlan) -> Self:
+    def of(cls, plan: records.CarrierPlan) -> Self:
         """Return the answer for a plan."""
         carriers = [CarrierDocument.model_validate(asdict(carrier), strict=False) for carrier in plan.carriers]
         return cls(plan_id=plan.id, sha256=plan.sha256, carriers=carriers)
 
 
-def content_digest(carriers: Sequence[Carrier]) -> str:
+def content_digest(carriers: Sequence[records.Carrier]) -> str:
     """Return the SHA-256 of a plan's canonical content: every field, sorted keys, no white space, UTF-8.
 
     Parameters
@@ -171,9 +159,9 @@ class TrackDocument(Document):
     latitude_deg: Annotated[tuple[LatitudeDeg, ...], Field(max_length=MAX_POINTS, fail_fast=True)]
     longitude_deg: Annotated[tuple[LongitudeDeg, ...], Field(max_length=MAX_POINTS, fail_fast=True)]
 
-    def to_record(self) -> Track:
+    def to_record(self) -> records.Track:
         """Return the record that this document states."""
-        return Track(self.epochs, self.latitude_deg, self.longitude_deg)
+        return records.Track(self.epochs, self.latitude_deg, self.longitude_deg)
 
 
 class EphemerisDocument(Document):
@@ -206,7 +194,7 @@ class EphemerisDocument(Document):
             raise PydanticCustomError("ephemeris.form", "nodal_period_s and track belong to ascending_nodes only")
         return self
 
-    def to_record(self) -> Ephemeris:
+    def to_record(self) -> records.Ephemeris:
         """Return the ephemeris of whichever form was given; InvalidInputError where it cannot be read."""
         if self.tle is not None:
             return read_tle(self.tle)
@@ -216,21 +204,21 @@ class EphemerisDocument(Document):
         return ephemeris_from_nodes(self.ascending_nodes or (), self.nodal_period_s, track)
 
 
-class TrackAnswer(members_of(Track, number=float), Answer):
+class TrackAnswer(members_of(records.Track, number=float), Answer):
     """Predicted sub-satellite point."""
 
 
 _WITHOUT = ("id", "valid_start_us", "valid_stop_us", "track")
 
 
-class EphemerisReceiptAnswer(members_of(Ephemeris, without=_WITHOUT, number=float), Answer):
+class EphemerisReceiptAnswer(members_of(records.Ephemeris, without=_WITHOUT, number=float), Answer):
     """Receipt of a stored ephemeris: ascending nodes, nodal period and validity."""
 
     ephemeris_id: int
     valid: WindowAnswer
 
     @classmethod
-    def of(cls, ephemeris: Ephemeris) -> Self:
+    def of(cls, ephemeris: records.Ephemeris) -> Self:
         """Return the answer for a record."""
         valid = Window(ephemeris.valid_start_us, ephemeris.valid_stop_us)
         return super().of(ephemeris, ephemeris_id=ephemeris.id, valid=valid)
@@ -250,7 +238,7 @@ _RELATIVE_TOLERANCE = 1e-9
 _MIN_SPAN = 0.05
 
 
-def _check_inertia(inertia_kg_m2: Matrix3) -> Matrix3:
+def _check_inertia(inertia_kg_m2: records.Matrix3) -> records.Matrix3:
     """Refuse a tensor that no body can have."""
     tensor = np.array(inertia_kg_m2)
     scale = float(np.max(np.abs(tensor)))
@@ -293,7 +281,7 @@ WheelAxis = tuple[AxisElement, AxisElement, AxisElement]
 
 
 #: fields of the documents are those of the records, but for the epoch of a torque that is fed forward
-_RECORDS = TypeAdapter(Spacecraft)
+_RECORDS = TypeAdapter(records.Spacecraft)
 
 
 class SiteDocument(Document):
@@ -309,7 +297,7 @@ class WheelsDocument(Document):
     """Reaction wheels; one wheel an axis by default."""
 
     axes: Annotated[tuple[WheelAxis, ...], Field(min_length=3, max_length=16), AfterValidator(_unit_axes)] = (
-        WheelSet().axes
+        records.WheelSet().axes
     )
     """Directions of the spin axes in body axes; made unit vectors."""
     torque_limit_n_m: Positive = 0.05
@@ -444,16 +432,16 @@ class GyroOrbitantDocument(Document):
 class ControlDocument(Document):
     """Attitude control."""
 
-    method: LiveMethod = Method.ROBUST
-    mode: ControlMode = ControlMode.GROUND
-    release: Release = Release.TWO_STEP
+    method: LiveMethod = records.Method.ROBUST
+    mode: records.ControlMode = records.ControlMode.GROUND
+    release: records.Release = records.Release.TWO_STEP
     period_s: Annotated[float, Field(ge=60, le=1e6)] = 7200.0
     damping: Annotated[float, Field(gt=0, le=5)] = 0.9
     command_period_s: Annotated[float, Field(ge=60, le=7200)] = 900.0
     """Time between commands under release `two_step`; under `automatic` it is the time between rows."""
     forecast_horizon_s: Annotated[float, Field(ge=60, le=7200)] = 3600.0
     """How far the pulses against a known torque of a released command reach at most; the envelope may shorten it."""
-    law: ControlLaw = ControlLaw.PROPORTIONAL_DERIVATIVE
+    law: records.ControlLaw = records.ControlLaw.PROPORTIONAL_DERIVATIVE
     """`gyro_orbitant`: yaw follows from the roll rate; needs inertial `body_rate_deg_s` in telemetry."""
     gyro_orbitant: GyroOrbitantDocument | None = None
 
@@ -529,14 +517,14 @@ class SpacecraftDocument(Document):
     """Each measures yaw by polarisation; its records come by `polarization:batch`."""
 
     @classmethod
-    def of(cls, spacecraft: Spacecraft) -> Self:
+    def of(cls, spacecraft: records.Spacecraft) -> Self:
         """Return the document of a record."""
         values = asdict(spacecraft)
         for torque in _torques(values):
             torque["epoch"] = format_epoch(torque.pop("epoch_us"))
         return cls.model_validate(values, strict=False)
 
-    def to_record(self) -> Spacecraft:
+    def to_record(self) -> records.Spacecraft:
         """Return the record that this document states."""
         values = self.model_dump()
         for torque in _torques(values):
@@ -561,7 +549,7 @@ class SpacecraftDocument(Document):
     @property
     def fault_of_gyro_orbitant(self) -> str | None:
         """Why the gains of the law `gyro_orbitant` make no loop that settles; None where they do, or none is chosen."""
-        if self.control.law is not ControlLaw.GYRO_ORBITANT and self.control.gyro_orbitant is None:
+        if self.control.law is not records.ControlLaw.GYRO_ORBITANT and self.control.gyro_orbitant is None:
             return None
         try:
             gyro_design(self.to_record(), TorqueConfig())
@@ -572,13 +560,13 @@ class SpacecraftDocument(Document):
     @property
     def is_released_unattended(self) -> bool:
         """Return whether torques go to a real spacecraft without a person."""
-        return self.control.release is Release.AUTOMATIC and not self.simulated
+        return self.control.release is records.Release.AUTOMATIC and not self.simulated
 
     @property
     def lacks_fast_loop(self) -> bool:
         """Return whether ground control is requested of a spacecraft that would drift between two commands."""
         can_follow = self.onboard.fast_loop and self.onboard.forecast_mode
-        return self.control.mode is ControlMode.GROUND and not can_follow
+        return self.control.mode is records.ControlMode.GROUND and not can_follow
 
 
 class SpacecraftAnswer(SpacecraftDocument):

@@ -21,24 +21,17 @@ from service.api.schemas.base import (
     members_of,
 )
 from service.core.control.slew_schedule import Envelope
-from service.pipeline.control.control_conditions import ControlCondition
-from service.pipeline.control.release.control_verdict import ControlReason, ControlVerdict, ControlView, GoodMinutes
+from service.pipeline.control.release.control_verdict import (
+    ControlCondition,
+    ControlReason,
+    ControlVerdict,
+    ControlView,
+    GoodMinutes,
+)
 from service.pipeline.control.release.release_checks import angles_of
 from service.pipeline.control.situation import SITUATIONS, AxisMotion, SpacecraftSituation
 from service.records.catalogue import ControlMode, Method, Spacecraft
-from service.records.levels.attitude import (
-    CARRIER_STATES,
-    NO_ANGLES,
-    NO_AXES,
-    STEP_DB,
-    AttitudeRow,
-    CarrierResults,
-    Pulse,
-    ScheduleVerdict,
-    Status,
-    TorqueCommand,
-    row_without_attitude,
-)
+from service.records.levels import attitude
 from service.records.operations.release import Command, CommandCheck, CommandRequest, SignCheck, UplinkProduct
 
 ControlState = Literal["INHIBITED", "ARMED", "ENGAGED", "RECOVERY", "BALANCE", "TRIPPED"]
@@ -209,7 +202,7 @@ class ExclusionAnswer(Answer):
 
 
 _MEMBERS = RecordMembers(
-    AttitudeRow,
+    attitude.AttitudeRow,
     first=("epoch_us", "received_at_us", "method", "attitude_deg", "rates_deg_s"),
     without=("number",),
     flat=("attitude_deg",),
@@ -225,7 +218,7 @@ class AttitudeAnswer(_MEMBERS.model("AttitudeMembers")):
     """`live`, `smoothed`, or the replay that made the row."""
 
     @classmethod
-    def of(cls, row: AttitudeRow, version: str, **others: Any) -> Self:
+    def of(cls, row: attitude.AttitudeRow, version: str, **others: Any) -> Self:
         """Return the answer for a row; ``others`` are members in place of those of the row."""
         members = _MEMBERS.values(row)
         members["version"] = version
@@ -236,8 +229,8 @@ class AttitudeAnswer(_MEMBERS.model("AttitudeMembers")):
     @classmethod
     def not_received(cls, method: Method, version: str, **others: Any) -> Self:
         """Return the answer before the first row."""
-        nothing = row_without_attitude(0, 0, 0, method, ("no_attitude",))
-        return cls.of(nothing, version, epoch=None, received_at=None, status=Status.NOT_RECEIVED, **others)
+        nothing = attitude.row_without_attitude(0, 0, 0, method, ("no_attitude",))
+        return cls.of(nothing, version, epoch=None, received_at=None, status=attitude.Status.NOT_RECEIVED, **others)
 
 
 class RowCarriersAnswer(Answer):
@@ -253,11 +246,11 @@ class RowCarriersAnswer(Answer):
     """Deviation minus what the attitude explains, to 0.002 dB."""
 
     @classmethod
-    def of(cls, results: CarrierResults, ids: Sequence[str]) -> Self:
+    def of(cls, results: attitude.CarrierResults, ids: Sequence[str]) -> Self:
         """Return the answer for the carriers of a plan."""
-        levels_db = np.rint(np.stack((results.deviation_db, results.residual_db)) / STEP_DB) * STEP_DB
+        levels_db = np.rint(np.stack((results.deviation_db, results.residual_db)) / attitude.STEP_DB) * attitude.STEP_DB
         deviation_db, residual_db = np.round(levels_db, 3).tolist()
-        state = [CARRIER_STATES[position] for position in results.state]
+        state = [attitude.CARRIER_STATES[position] for position in results.state]
         members = {"plan_id": results.plan_id, "ids": list(ids), "state": state}
         return cls.model_validate({**members, "deviation_db": deviation_db, "residual_db": residual_db})
 
@@ -289,7 +282,7 @@ class SmoothedPage(AttitudePage):
     """Smoothed rows in order of epoch, one each five minutes at most; `lag_s` tells what each of them knows."""
 
 
-class PulseAnswer(members_of(Pulse, flat=("torque_n_m",), number=float), Answer):
+class PulseAnswer(members_of(attitude.Pulse, flat=("torque_n_m",), number=float), Answer):
     """One element of a schedule."""
 
 
@@ -305,16 +298,16 @@ class PredictedAnswer(Answer):
 _VERDICTS = {"verdict": Literal["accept", "reject"]}
 
 
-class ScheduleCheckAnswer(members_of(ScheduleVerdict, number=float, types=_VERDICTS), Answer):
+class ScheduleCheckAnswer(members_of(attitude.ScheduleVerdict, number=float, types=_VERDICTS), Answer):
     """Check of a schedule against the flexible modes, the worst of the axes."""
 
 
-_PREDICTED = tuple(name for name in TorqueCommand.__dataclass_fields__ if name.startswith("predicted_"))
+_PREDICTED = tuple(name for name in attitude.TorqueCommand.__dataclass_fields__ if name.startswith("predicted_"))
 
 
 class TorqueAnswer(
     members_of(
-        TorqueCommand,
+        attitude.TorqueCommand,
         without=("number", "schedule_check", *_PREDICTED),
         flat=("torque_n_m",),
         types={
@@ -335,15 +328,15 @@ class TorqueAnswer(
     """Verdict of the flexible modes; null where the catalogue knows none, or nothing is commanded."""
 
     @classmethod
-    def of(cls, command: TorqueCommand) -> Self:
+    def of(cls, command: attitude.TorqueCommand) -> Self:
         """Return the answer for a command."""
         return super().of(command, predicted=command)
 
     @classmethod
     def before_the_first(cls, mode: ControlMode, attitude_epoch_us: int | None) -> Self:
         """Return the answer while no command was ever computed."""
-        nothing = {"saturated": False, "schedule": [], "impulse_n_m_s": NO_ANGLES, "control_allowed": False}
-        nothing["balance_allowed_axes"] = NO_AXES
+        nothing = {"saturated": False, "schedule": [], "impulse_n_m_s": attitude.NO_ANGLES, "control_allowed": False}
+        nothing["balance_allowed_axes"] = attitude.NO_AXES
         known = {"mode": mode, "attitude_epoch": attitude_epoch_us, "inhibitions": ["no_attitude"]}
         return cls.model_validate(dict.fromkeys(cls.model_fields) | nothing | known)
 

@@ -31,8 +31,18 @@ from service.records.levels.attitude import (
     CarrierResults,
     CarrierState,
 )
-from service.records.levels.measurement import DETAIL_NAMES, CarrierDetails, Measurement, SourceState, flag_names
-from service.records.levels.sweep import KeptTrace, Trace, TraceHead, TraceReceipt, TraceSettings
+from service.records.levels.measurement import (
+    DETAIL_NAMES,
+    CarrierDetails,
+    KeptTrace,
+    Measurement,
+    SourceState,
+    Trace,
+    TraceHead,
+    TraceReceipt,
+    TraceSettings,
+    flag_names,
+)
 
 #: the estimator has a sigma of its own, which keeps the short name
 _REPORTED_AS = {"sigma_db": "measured_sigma_db"}

@@ -25,15 +25,7 @@ from service.api.schemas.control import ControlState, VerdictAnswer
 from service.api.schemas.inputs import OperationAnswer
 from service.pipeline.alarms.conditions import FOLLOWS, condition_table
 from service.pipeline.config import AlarmConfig, RobustConfig
-from service.records.operations.alarms import (
-    Alarm,
-    AlarmChange,
-    AlarmLimits,
-    ConditionLimits,
-    Handling,
-    Note,
-    Statement,
-)
+from service.records.operations import alarms as records
 from service.records.operations.work import LinkReport, LinkWarning
 
 StateWord = Literal["open", "unacknowledged", "acknowledged", "returned", "latched", "shelved", "suppressed", "closed"]
@@ -68,7 +60,7 @@ class ShelveDocument(RemarkDocument):
     """By the spacecraft's clock, at most 24 h ahead."""
 
 
-class HandlingAnswer(members_of(Handling), Answer):
+class HandlingAnswer(members_of(records.Handling), Answer):
     """Action of an operator on an alarm: name, time and comment."""
 
 
@@ -78,7 +70,7 @@ _HANDLINGS = ("acknowledged", "shelved", "cleared")
 
 class AlarmChildAnswer(
     members_of(
-        Alarm,
+        records.Alarm,
         without=("process", "cover"),
         types={
             "severity": SeverityWord,
@@ -102,7 +94,7 @@ class AlarmChildAnswer(
 
     @classmethod
     def of(
-        cls, alarm: Alarm, present: tuple[float, int | None] = (math.nan, None), children: Sequence[Any] = ()
+        cls, alarm: records.Alarm, present: tuple[float, int | None] = (math.nan, None), children: Sequence[Any] = ()
     ) -> Self:
         """Return the answer for an alarm, with its newest value, the epoch of that, and what follows from it."""
         condition = _CONDITIONS.get(alarm.condition)
@@ -134,7 +126,7 @@ class AlarmChangeAnswer(Answer):
     """The alarm after it."""
 
     @classmethod
-    def of(cls, change: AlarmChange) -> Self:
+    def of(cls, change: records.AlarmChange) -> Self:
         """Return the answer for a change."""
         handling = change.handling
         return super().of(
@@ -175,7 +167,7 @@ class StatementDocument(Document):
     suppressed: bool = False
     enabled: bool = True
 
-    def to_record(self) -> Statement:
+    def to_record(self) -> records.Statement:
         """Return the stated fields alone."""
         return self.model_dump(exclude_unset=True)
 
@@ -194,30 +186,32 @@ class LimitsDocument(Document):
     created_by: Text | None = None
     """As exported; not looked at."""
 
-    def to_record(self, created_at_us: int, created_by: str) -> AlarmLimits:
+    def to_record(self, created_at_us: int, created_by: str) -> records.AlarmLimits:
         """Return the limits that this document states."""
-        sets: dict[str, dict[str, Statement]] = {
+        sets: dict[str, dict[str, records.Statement]] = {
             chosen: {name: statement.to_record() for name, statement in statements.items()}
             for chosen, statements in self.sets.items()
         }
-        return AlarmLimits(0, created_at_us, created_by, self.comment, sets, dict(self.nominal_dbm))
+        return records.AlarmLimits(0, created_at_us, created_by, self.comment, sets, dict(self.nominal_dbm))
 
 
 class LimitsAnswer(
-    members_of(AlarmLimits, number=float, types={"created_at_us": EpochAnswer | None, "created_by": str | None}),
+    members_of(
+        records.AlarmLimits, number=float, types={"created_at_us": EpochAnswer | None, "created_by": str | None}
+    ),
     Answer,
 ):
     """One version of the limits of a spacecraft: what it states beyond the defaults."""
 
     @classmethod
-    def of(cls, limits: AlarmLimits) -> Self:
+    def of(cls, limits: records.AlarmLimits) -> Self:
         """Return the answer for a version."""
         if limits.version:
             return super().of(limits)
         return super().of(limits, created_at=None, created_by=None)
 
 
-class ConditionLimitsAnswer(members_of(ConditionLimits, number=float), Answer):
+class ConditionLimitsAnswer(members_of(records.ConditionLimits, number=float), Answer):
     """Limits of one condition as they are in force."""
 
     kind: str
@@ -225,7 +219,7 @@ class ConditionLimitsAnswer(members_of(ConditionLimits, number=float), Answer):
     unit: str
 
     @classmethod
-    def of(cls, name: str, limits: ConditionLimits) -> Self:
+    def of(cls, name: str, limits: records.ConditionLimits) -> Self:
         """Return the answer for the limits of a condition."""
         return super().of(limits, kind=_CONDITIONS[name].kind.value, unit=_CONDITIONS[name].unit)
 
@@ -382,7 +376,7 @@ class NoteDocument(Document):
     """Id of the note that this one corrects."""
 
 
-class NoteAnswer(members_of(Note), Answer):
+class NoteAnswer(members_of(records.Note), Answer):
     """A note."""
 
 

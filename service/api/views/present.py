@@ -5,20 +5,9 @@ from dataclasses import replace
 from typing import Any, NamedTuple, TypeVar
 
 from service.api.context import ApiContext
+from service.api.schemas import shift as documents
 from service.api.schemas.control import VerdictAnswer
 from service.api.schemas.inputs import OperationAnswer
-from service.api.schemas.shift import (
-    AlarmAnswer,
-    AlarmChildAnswer,
-    HandoverAnswer,
-    HandoverCalibrationAnswer,
-    HandoverKeyAnswer,
-    HandoverNoticesAnswer,
-    HandoverSourceAnswer,
-    LinkAnswer,
-    NoteAnswer,
-    StatusAnswer,
-)
 from service.errors import NotFoundError, StorageError
 from service.pipeline.control.command.compute_command import ended_command
 from service.pipeline.control.release.control_verdict import ControlVerdict, ControlView, control_verdict
@@ -44,7 +33,7 @@ SILENT = "SILENT"
 
 def link_answers(
     context: ApiContext, states: Iterable[LinkState], known: Iterable["SpacecraftNow"] = ()
-) -> list[LinkAnswer]:
+) -> list[documents.LinkAnswer]:
     """Return links as they are told; spacecraft that are known already are not looked up."""
     by_id: dict[str, SpacecraftNow | None] = {each.spacecraft.id: each for each in known}
     answers = []
@@ -64,13 +53,13 @@ def _now_of(context: ApiContext, spacecraft_id: str) -> "SpacecraftNow | None":
         return None
 
 
-def _link_answer(context: ApiContext, state: LinkState, now: "SpacecraftNow | None") -> LinkAnswer:
+def _link_answer(context: ApiContext, state: LinkState, now: "SpacecraftNow | None") -> documents.LinkAnswer:
     """Return a link as it is told; the age of its newest good row is by the clock of its epoch."""
     report, now_us = state.report, context.clock.system_us()
     present_us = None if now is None else now.clock.now_us
     rows_missing = {} if now is None else {source.id: source.rows_missing for source in now.at.sources}
     good_us = now_us if present_us is None else present_us
-    return LinkAnswer.of(
+    return documents.LinkAnswer.of(
         report,
         state=SILENT if state.is_silent(now_us) else report.state,
         reported_state=report.state,
@@ -342,14 +331,14 @@ _MOTIONS = 100
 _EVER_US = 1 << 62
 
 
-def status_of(context: ApiContext, spacecraft_id: str) -> StatusAnswer:
+def status_of(context: ApiContext, spacecraft_id: str) -> documents.StatusAnswer:
     """Return the present state; NotFoundError ``spacecraft.unknown``."""
     # with nothing pending, the newest attitude is that of the newest measurement told, or of a later one
     now = SpacecraftNow(context, spacecraft_id)
     present, pending = present_of(context, now), now.pending
     row, verdict, advice = present.row, present.verdict, now.advice()
     is_data, now_us = now.clock
-    return StatusAnswer.model_validate(
+    return documents.StatusAnswer.model_validate(
         {
             "newest_measurement": now.at.head.newest_epoch_us,
             "newest_attitude": None if row is None else row.epoch_us,
@@ -392,7 +381,7 @@ def _links_of_sources(context: ApiContext, now: SpacecraftNow) -> list[dict[str,
             "rows": source.rows,
             "rows_missing": source.rows_missing,
         }
-        carrying: list[LinkAnswer | None] = [link for link in reported if link.source == source.id]
+        carrying: list[documents.LinkAnswer | None] = [link for link in reported if link.source == source.id]
         found += [{**seen, **_report_members(link)} for link in carrying or [None]]
     known = {entry["source"] for entry in found}
     unseen = {"role": None, "newest_epoch": None, "rows": None, "rows_missing": None}
@@ -402,7 +391,7 @@ def _links_of_sources(context: ApiContext, now: SpacecraftNow) -> list[dict[str,
     return found
 
 
-def _report_members(link: LinkAnswer | None) -> dict[str, Any]:
+def _report_members(link: documents.LinkAnswer | None) -> dict[str, Any]:
     """Return the report of a link; nulls where there is none."""
     names = ("id", "kind", "state", "enabled", "age_s", "last_good_age_s")
     warnings = [] if link is None else link.warnings
@@ -417,7 +406,7 @@ _NOTES = 20
 _OPERATIONS = 200
 
 
-def handover_of(context: ApiContext, spacecraft_id: str) -> HandoverAnswer:
+def handover_of(context: ApiContext, spacecraft_id: str) -> documents.HandoverAnswer:
     """Return the handover of a spacecraft; NotFoundError ``spacecraft.unknown``."""
     spacecraft = context.storage.catalogue.spacecraft(spacecraft_id)
     present_us = context.clock.now_us(spacecraft_id)
@@ -431,7 +420,7 @@ def handover_of(context: ApiContext, spacecraft_id: str) -> HandoverAnswer:
         **dict(status.control),
         "authorised_until": None,
     }
-    return HandoverAnswer.model_validate(
+    return documents.HandoverAnswer.model_validate(
         {
             "spacecraft_id": spacecraft_id,
             "at": now_us,
@@ -445,24 +434,24 @@ def handover_of(context: ApiContext, spacecraft_id: str) -> HandoverAnswer:
             "links": _link_members(context, spacecraft_id),
             "sources": _sources(context, spacecraft_id),
             "operations": _operations(context, spacecraft_id, now_us),
-            "notes": [NoteAnswer.of(note) for note in context.storage.notes.newest(_NOTES, spacecraft_id)],
+            "notes": [documents.NoteAnswer.of(note) for note in context.storage.notes.newest(_NOTES, spacecraft_id)],
             "notices": _notices(context),
         }
     )
 
 
-def _alarm_answers(context: ApiContext, alarms: tuple[Alarm, ...], cover: Cover) -> list[AlarmAnswer]:
+def _alarm_answers(context: ApiContext, alarms: tuple[Alarm, ...], cover: Cover) -> list[documents.AlarmAnswer]:
     """Return the alarms under a cover that no other explains, worst first, then oldest first."""
     causes = {alarm.key for alarm in alarms}
     chosen = [one for one in alarms if one.cover is cover and one.cause not in causes]
     return [alarm_answer(context, alarm, alarms) for alarm in sorted(chosen, key=_worst_first)]
 
 
-def alarm_answer(context: ApiContext, alarm: Alarm, alarms: tuple[Alarm, ...]) -> AlarmAnswer:
+def alarm_answer(context: ApiContext, alarm: Alarm, alarms: tuple[Alarm, ...]) -> documents.AlarmAnswer:
     """Return an alarm with its newest value and with those among open alarms that follow from it."""
     following = sorted((one for one in alarms if one.cause == alarm.key), key=_worst_first)
-    children = [AlarmChildAnswer.of(one, context.alarms.present_value(one)) for one in following]
-    return AlarmAnswer.of(alarm, context.alarms.present_value(alarm), children=children)
+    children = [documents.AlarmChildAnswer.of(one, context.alarms.present_value(one)) for one in following]
+    return documents.AlarmAnswer.of(alarm, context.alarms.present_value(alarm), children=children)
 
 
 def _worst_first(alarm: Alarm) -> tuple[int, int]:
@@ -476,7 +465,7 @@ def _foundations(context: ApiContext, spacecraft_id: str, now_us: int) -> dict[s
     calibrations = []
     for one in results.calibrations(spacecraft_id, CalibrationState.ACTIVE):
         age = {"created_at": one.created_at_us, "age_days": (now_us - one.request.data_until_us) / _DAY_US}
-        calibrations.append(HandoverCalibrationAnswer.of(one.request, id=one.id, **age))
+        calibrations.append(documents.HandoverCalibrationAnswer.of(one.request, id=one.id, **age))
     alignments = results.alignments(spacecraft_id)
     alignment = None
     if alignments:
@@ -492,7 +481,7 @@ def _foundations(context: ApiContext, spacecraft_id: str, now_us: int) -> dict[s
     return {"calibrations": calibrations, "alignment": alignment, "ephemeris": ephemeris}
 
 
-def _ending_keys(context: ApiContext) -> list[HandoverKeyAnswer]:
+def _ending_keys(context: ApiContext) -> list[documents.HandoverKeyAnswer]:
     """Return the keys in force that end soon, the first to end first."""
     now_us = context.clock.system_us()
     ending = []
@@ -500,7 +489,7 @@ def _ending_keys(context: ApiContext) -> list[HandoverKeyAnswer]:
         key = stored.key
         if key.expires_at_us is not None and key.is_valid(now_us) and key.expires_at_us - now_us <= _KEYS_US:
             days_left = (key.expires_at_us - now_us) / _DAY_US
-            ending.append(HandoverKeyAnswer.of(key, role=key.role.value, days_left=days_left))
+            ending.append(documents.HandoverKeyAnswer.of(key, role=key.role.value, days_left=days_left))
     return sorted(ending, key=lambda one: one.days_left)
 
 
@@ -512,9 +501,11 @@ def _link_members(context: ApiContext, spacecraft_id: str) -> list[Any]:
     return list(link_answers(context, chosen))
 
 
-def _sources(context: ApiContext, spacecraft_id: str) -> list[HandoverSourceAnswer]:
+def _sources(context: ApiContext, spacecraft_id: str) -> list[documents.HandoverSourceAnswer]:
     """Return the sources with what they miss."""
-    return [HandoverSourceAnswer.of(one, source=one.id) for one in context.storage.archive.sources(spacecraft_id)]
+    return [
+        documents.HandoverSourceAnswer.of(one, source=one.id) for one in context.storage.archive.sources(spacecraft_id)
+    ]
 
 
 def _operations(context: ApiContext, spacecraft_id: str, now_us: int) -> list[OperationAnswer]:
@@ -524,9 +515,9 @@ def _operations(context: ApiContext, spacecraft_id: str, now_us: int) -> list[Op
     return [OperationAnswer.of(entry.content) for entry in entries if isinstance(entry.content, Operation)]
 
 
-def _notices(context: ApiContext) -> list[HandoverNoticesAnswer]:
+def _notices(context: ApiContext) -> list[documents.HandoverNoticesAnswer]:
     """Return the counts of notices by channel."""
     return [
-        HandoverNoticesAnswer.of(channel.counts, channel=channel.name, waiting=channel.waiting)
+        documents.HandoverNoticesAnswer.of(channel.counts, channel=channel.name, waiting=channel.waiting)
         for channel in context.alarms.channels
     ]

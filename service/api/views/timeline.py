@@ -6,15 +6,7 @@ from typing import Any, get_args
 
 from service.api.context import ApiContext
 from service.api.protocol.paging import EVERYTHING
-from service.api.schemas.archive import (
-    ActivationAnswer,
-    Cut,
-    GapAnswer,
-    StateRunAnswer,
-    TimelineAlignmentAnswer,
-    TimelineAnswer,
-    TimelineCommandAnswer,
-)
+from service.api.schemas import archive as documents
 from service.api.schemas.base import WindowAnswer
 from service.api.schemas.inputs import CorrectionAnswer, OperationAnswer
 from service.api.schemas.shift import AlarmAnswer, NoteAnswer
@@ -41,7 +33,7 @@ class Timeline:
     spacecraft_id: str
     window: Window
 
-    def answer(self, methods: Sequence[Method]) -> TimelineAnswer:
+    def answer(self, methods: Sequence[Method]) -> documents.TimelineAnswer:
         """Return all intervals and marks of the span."""
         results, expected = self.context.storage.results, self._expected()
         histories = [
@@ -50,15 +42,17 @@ class Timeline:
         ]
         coarse = [coarsened(history.runs, MOST_RUNS) for history in histories]
         runs = (_runs(method, found) for method, (_, found) in zip(methods, coarse, strict=True))
-        lists = {name: self._list(name) for name in get_args(Cut)}
+        lists = {name: self._list(name) for name in get_args(documents.Cut)}
         alignments = reversed(results.alignments(self.spacecraft_id))
-        return TimelineAnswer(
+        return documents.TimelineAnswer(
             range=WindowAnswer.of(self.window),
             joined_s=max(join_s for join_s, _ in coarse),
             states=[run for of_method in runs for run in of_method],
-            gaps=[GapAnswer.of(gap) for gap in histories[0].gaps],
+            gaps=[documents.GapAnswer.of(gap) for gap in histories[0].gaps],
             states_left_out=[WindowAnswer.of(Window(*ends)) for ends in sorted(_left_out(histories))],
-            alignments=[TimelineAlignmentAnswer.of(each) for each in alignments if self._holds(each.epoch_us)],
+            alignments=[
+                documents.TimelineAlignmentAnswer.of(each) for each in alignments if self._holds(each.epoch_us)
+            ],
             cut=[name for name, found in lists.items() if len(found) > MOST],
             **{name: found[:MOST] for name, found in lists.items()},
         )
@@ -75,9 +69,9 @@ class Timeline:
         start_us, stop_us = max(self.window.start_us, first[0].epoch_us), min(self.window.stop_us, latest_us + 1)
         return Window(start_us, stop_us) if start_us < stop_us else None
 
-    def _list(self, name: Cut) -> list[Any]:
+    def _list(self, name: documents.Cut) -> list[Any]:
         """Return one list of the answer, one more than it may have tells that there are more."""
-        read: dict[Cut, Callable[[], Iterator[Any]]] = {
+        read: dict[documents.Cut, Callable[[], Iterator[Any]]] = {
             "operations": lambda: self._inputs("operation", OperationAnswer.of),
             "corrections": lambda: self._inputs("correction", CorrectionAnswer.of),
             "commands": self._commands,
@@ -91,22 +85,22 @@ class Timeline:
         entries = self.context.storage.archive.inputs(self.spacecraft_id, kind, ListPart(self.window, MOST + 1))
         return (answer_of(entry.content) for entry in entries)
 
-    def _activations(self) -> Iterator[ActivationAnswer]:
+    def _activations(self) -> Iterator[documents.ActivationAnswer]:
         """Yield activations; when they were is the newest row of that moment."""
         storage = self.context.storage
         methods = {each.id: each.request.method.value for each in storage.results.calibrations(self.spacecraft_id)}
         for entry in storage.archive.inputs(self.spacecraft_id, "activation", ListPart(self.window, MOST + 1)):
             activated: Any = entry.content
             method = methods.get(activated.calibration_id, "")
-            yield ActivationAnswer.model_validate(
+            yield documents.ActivationAnswer.model_validate(
                 {"calibration_id": activated.calibration_id, "method": method, "at": entry.start_us}
             )
 
-    def _commands(self) -> Iterator[TimelineCommandAnswer]:
+    def _commands(self) -> Iterator[documents.TimelineCommandAnswer]:
         window = Window(self.window.start_us - _DAY_US, self.window.stop_us)
         for command in self.context.storage.releases.commands(self.spacecraft_id, ListPart(window, MOST + 1)):
             if self._reaches(command):
-                yield TimelineCommandAnswer.of(command, id=command.counter)
+                yield documents.TimelineCommandAnswer.of(command, id=command.counter)
 
     def _alarms(self) -> Iterator[AlarmAnswer]:
         """Yield the alarms that were active within the span and follow from no other, in order of their raising."""
@@ -138,8 +132,8 @@ def _left_out(histories: Sequence[History]) -> set[tuple[int, int]]:
     return {ends for history in histories for ends in history.left_out_us}
 
 
-def _runs(method: Method, runs: Sequence[StateRun]) -> Iterator[StateRunAnswer]:
+def _runs(method: Method, runs: Sequence[StateRun]) -> Iterator[documents.StateRunAnswer]:
     """Yield the answers for the runs of one method."""
     for (kind, name, carrier), start_us, stop_us, rows in runs:
         members = {"kind": kind, "name": name, "carrier": carrier or None, "rows": rows}
-        yield StateRunAnswer.model_validate({"method": method, "start": start_us, "stop": stop_us, **members})
+        yield documents.StateRunAnswer.model_validate({"method": method, "start": start_us, "stop": stop_us, **members})

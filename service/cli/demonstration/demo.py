@@ -3,18 +3,156 @@
 import json
 import os
 import signal
+import socket
 import tempfile
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import typer
 
-from service.cli.command_group import end, new_app
-from service.cli.demonstration.inject import inject
-from service.cli.demonstration.running import RunningDemonstration, published
-from service.cli.extras import require
-from service.cli.studies.screen import ended_by_signals
+from service.cli.command_group import end, new_app, require, state_folder
+from service.cli.studies import ended_by_signals
+
+
+class RunningDemonstration(NamedTuple):
+    """Addresses of a demonstration."""
+
+    process_id: int
+    service_url: str
+    key_file: str
+    #: host and port where its world is changed; None = its spacecraft is not flown
+    changes: tuple[str, int] | None
+
+
+def _path() -> Path:
+    """Return the file: in the user's runtime folder, which ends with the session, else in that of states."""
+    runtime = os.environ.get("XDG_RUNTIME_DIR")
+    folder = Path(runtime) / "soo" if runtime else state_folder("demonstration")
+    return folder / "demonstration.json"
+
+
+@contextmanager
+def published(demonstration: RunningDemonstration) -> Iterator[None]:
+    """Let other commands find a demonstration while it runs; the newest of several is found."""
+    path = _path()
+    path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    new = path.with_suffix(f".{demonstration.process_id}")
+    new.unlink(missing_ok=True)
+    new.touch(0o600, exist_ok=False)
+    new.write_text(json.dumps(demonstration._asdict()), encoding="utf-8")
+    new.replace(path)
+    try:
+        yield
+    finally:
+        newest = _read(path)
+        if newest is not None and newest.process_id == demonstration.process_id:
+            path.unlink(missing_ok=True)
+
+
+def running_demonstration() -> RunningDemonstration:
+    """Return the demonstration that runs; without one end with exit code 1."""
+    found = _read(_path())
+    if found is None or not _is_alive(found.process_id):
+        end("no demonstration of this user runs: start one with soo demo and wait until it is aligned", 1)
+    return found
+
+
+def _read(path: Path) -> RunningDemonstration | None:
+    """Return what a file holds; None for no file, or one that holds something else."""
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+        changes = document["changes"]
+        address = None if changes is None else (str(changes[0]), int(changes[1]))
+        return RunningDemonstration(
+            int(document["process_id"]), str(document["service_url"]), str(document["key_file"]), address
+        )
+    except (OSError, ValueError, TypeError, KeyError, IndexError):
+        return None
+
+
+def _is_alive(process_id: int) -> bool:
+    """Return whether a process of this user runs under a number."""
+    try:
+        os.kill(process_id, 0)
+    except OSError:
+        return False
+    return True
+
+
+_TIMEOUT_S = 60.0
+#: what the service is to say, and what the change is
+_EXPECTED = {
+    "rain": "rain over the receiving site: control is inhibited by a fade until ten minutes after its end",
+    "step": "one carrier is 3 dB stronger: it is left out of the estimate",
+    "dead-carrier": "one carrier is off: it is left out of the estimate",
+    "sign": "the wheels do the opposite of each command: the powers show it and control ends, mostly within the hour",
+    "stop": "an operator stopped control: it is tripped until somebody resets it",
+}
+Kind = Literal["rain", "step", "dead-carrier", "sign", "stop"]
+
+
+def inject(
+    kind: Annotated[Kind, typer.Argument(help="What happens.")],
+    minutes: Annotated[float, typer.Option(help="How long, minutes of the virtual clock; stop has no end.")] = 120.0,
+    carrier: Annotated[str, typer.Option(help="Carrier of step and dead-carrier; default the first.")] = "",
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON only.")] = False,
+) -> None:
+    """Change the world of the demonstration that runs, for a time."""
+    if carrier and kind not in {"step", "dead-carrier"}:
+        end(f"{kind} concerns no single carrier: leave --carrier out")
+    demonstration = running_demonstration()
+    try:
+        answer = _stop(demonstration) if kind == "stop" else _change(demonstration, kind, minutes, carrier)
+    except OSError as error:
+        end(f"the demonstration does not answer: {error}; see whether it still runs", 1, error)
+    typer.echo(json.dumps(answer) if as_json else _sentence(kind, answer))
+
+
+def _change(demonstration: RunningDemonstration, kind: str, minutes: float, carrier: str) -> dict[str, Any]:
+    """Have the simulator change the world and return its answer."""
+    if demonstration.changes is None:
+        end("the spacecraft of this demonstration is not flown: start soo demo without --open", 1)
+    line = {"change": kind, "duration_s": 60.0 * minutes, **({"carrier": carrier} if carrier else {})}
+    with (
+        socket.create_connection(demonstration.changes, timeout=_TIMEOUT_S) as connection,
+        connection.makefile("rb") as answers,
+    ):
+        connection.sendall(json.dumps(line).encode() + b"\n")
+        text = answers.readline()
+    if not text:
+        raise ConnectionResetError("the simulator closed the connection")
+    answer: dict[str, Any] = json.loads(text)
+    if answer["type"] == "error":
+        end(f"nothing was changed: {answer['detail']}")
+    return answer
+
+
+def _stop(demonstration: RunningDemonstration) -> dict[str, Any]:
+    """Stop control as an operator does and return the state after it."""
+    # httpx costs more than the other kinds
+    from service.client.problem import ClientError
+    from service.client.service_client import ServiceClient
+
+    key = Path(demonstration.key_file).read_text(encoding="ascii").strip()
+    try:
+        with ServiceClient(demonstration.service_url, key, timeout_s=_TIMEOUT_S) as client:
+            rows = client.request("GET", "/spacecraft")["rows"]
+            if not rows:
+                end("the demonstration has no spacecraft yet: wait until it is aligned", 1)
+            control = client.order_control(rows[0]["id"], "stop", "stopped by soo demo inject")
+    except ClientError as error:
+        end(str(error), 1, error)
+    return {"type": "stopped", "state": control["state"]}
+
+
+def _sentence(kind: str, answer: dict[str, Any]) -> str:
+    """Return what was changed, and what is to be seen."""
+    carrier = f" ({answer['carrier']})" if answer.get("carrier") else ""
+    span = f" from {answer['from']} until {answer['until']}" if "from" in answer else ""
+    return f"{kind}{carrier}{span}: {_EXPECTED[kind]}"
+
 
 #: operation that the endless demonstration can show, days
 _ENDLESS_DAYS = 30.0
@@ -22,10 +160,10 @@ _EXIT_DAYS = 2.0
 ReleaseMode = Literal["automatic", "two_step"]
 
 
-app = new_app(invoke_without_command=True, context_settings={"allow_interspersed_args": False})
+demo_app = new_app(invoke_without_command=True, context_settings={"allow_interspersed_args": False})
 
 
-@app.callback()
+@demo_app.callback()
 def demo(
     context: typer.Context,
     leave: Annotated[bool, typer.Option("--exit", help="Stop after two virtual days and print figures.")] = False,
@@ -57,8 +195,7 @@ def demo(
     # the story costs half a second that a wrong option need not pay
     from service.cli.demonstration.demo_run import FAILURES, Alone, external, own_station, play
     from service.cli.demonstration.demo_screen import Presenter, print_figures
-    from service.cli.demonstration.invitation import offer_archive
-    from service.cli.demonstration.persons import write_key
+    from service.cli.demonstration.persons import offer_archive, write_key
 
     is_two_step = release == "two_step"
     if is_two_step and (leave or as_json or not closed or service):
@@ -97,7 +234,7 @@ def demo(
         raise typer.Exit(1)
 
 
-app.command()(inject)
+demo_app.command()(inject)
 
 
 def _directory(stack: ExitStack, keep: Path | None) -> Path:

@@ -13,8 +13,6 @@ from service.cli.operation.connection import DEFAULT_KEY_ENVIRONMENT, key_of
 from service.client.problem import ClientError
 from service.client.service_client import ServiceClient
 from service.study.closed_loop.plant_process import PlantFailedError
-from service.study.demonstration.archive_check import METHODS
-from service.study.demonstration.closed_judgement import FlightAlone, fly_alone, judge_control
 from service.study.demonstration.control_centre import ControlCentre, SpacecraftLineError, TwoStepCentre
 from service.study.demonstration.demonstration import (
     CentreOf,
@@ -24,7 +22,14 @@ from service.study.demonstration.demonstration import (
     run_story,
     simulated_station,
 )
-from service.study.demonstration.judgement import judge_story, tracked_angles
+from service.study.demonstration.judgement import (
+    METHODS,
+    FlightAlone,
+    fly_alone,
+    judge_control,
+    judge_story,
+    tracked_angles,
+)
 from service.study.demonstration.processes import ProcessFailedError
 
 #: an answer may take so long on a machine that has much else to do, s

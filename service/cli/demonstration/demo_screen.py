@@ -13,15 +13,13 @@ from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextC
 from rich.table import Table
 from rich.text import Text
 
-from service.cli.demonstration.invitation import commands_to_try
-from service.cli.demonstration.persons import Person
+from service.cli.demonstration.persons import Person, commands_to_try
 from service.cli.shift.tables import SEVERITY_STYLES, sentence
 from service.client.documents import Attitude, Json
 from service.records.epoch import US_PER_S, format_epoch, parse_epoch
-from service.study.demonstration.archive_check import METHODS
-from service.study.demonstration.closed_judgement import TRUTH_BOUNDS_DEG, FlightAlone, within_bounds_since_us
+from service.study.demonstration.control_centre import AXES
 from service.study.demonstration.demonstration import Scene
-from service.study.demonstration.merit import AXES
+from service.study.demonstration.judgement import METHODS, TRUTH_BOUNDS_DEG, FlightAlone, within_bounds_since_us
 
 #: name of each phase in the tutorial
 PHASE_NAMES = {

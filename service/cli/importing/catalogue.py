@@ -155,7 +155,7 @@ def check_likely(
     """Refuse `unlikely` figures, which were not confirmed."""
     odd = unlikely(spacecraft, plan, longitude_deg)
     if odd:
-        text = "this must be confirmed (soo put: --confirmed; soo import: --state confirmed=true):"
+        text = "this must be confirmed with --state confirmed=true:"
         raise ForeignTableError("\n  ".join((text, *odd)))
 
 

@@ -5,27 +5,15 @@ created.
 """
 
 import re
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from service.cli.importing.catalogue import (
-    INCLINED_DEG,
-    carrier_names,
-    check_plan,
-    decoded,
-    file_text,
-    foreign_orbit,
-    inclination_deg,
-    read_orbit,
-    read_plan,
-    read_spacecraft,
-    unlikely,
-)
+from service.cli.importing import catalogue
 from service.cli.importing.dialogue import FileRole
 from service.cli.importing.manifest import NAME, FolderManifest, Guess, plain_value, validated
 from service.formats.foreign.columns import (
@@ -39,19 +27,18 @@ from service.formats.foreign.columns import (
     interpret_powers,
     texts_of,
 )
-from service.formats.foreign.messages import (
-    VERSIONS,
-    attitude_table,
-    message_table,
-    message_text,
-    tracking_table,
-)
+from service.formats.foreign.messages import VERSIONS, attitude_table, message_table, message_text, tracking_table
 from service.formats.foreign.readings import SIGMA_COLUMNS, holds_angles, interpret_readings
 from service.formats.foreign.table import NUMBER, Container, ForeignTableError, Table, is_workbook, read_table
 from service.formats.foreign.units import without_unit
 from service.pipeline.config import CalibrationConfig
-from service.pipeline.planning.flown_turns import flown_windows
+from service.pipeline.planning.quiet_days import flown_windows
 from service.records.epoch import format_epoch
+from service.runtime.clock import system_now_us
+
+if TYPE_CHECKING:
+    from service.client.service_client import ServiceClient
+
 
 _ELEMENTS = re.compile(r"^1 [ 0-9A-Z]\d{4}.*\n2 [ 0-9A-Z]\d{4}", re.MULTILINE)
 #: files that the import writes beside a table
@@ -151,16 +138,16 @@ def propose(files: ImportFiles) -> dict[str, Any]:
         made = {path.name: files.guarded(path, role, read) for path, found in roles.items() if found is role}
         return {name: document for name, document in made.items() if document is not None}
 
-    bodies = documents(FileRole.SPACECRAFT, lambda path: read_spacecraft(path, warn))
+    bodies = documents(FileRole.SPACECRAFT, lambda path: catalogue.read_spacecraft(path, warn))
     spacecraft_name = _chosen(list(bodies), stated.spacecraft.file)
     spacecraft = bodies.get(plain_value(spacecraft_name))
-    plans = documents(FileRole.CARRIERS, read_plan)
+    plans = documents(FileRole.CARRIERS, catalogue.read_plan)
     plan_name = _chosen(list(plans), stated.carriers)
     plan = plans.get(plain_value(plan_name))
-    orbits = documents(FileRole.EPHEMERIS, read_orbit)
+    orbits = documents(FileRole.EPHEMERIS, catalogue.read_orbit)
     known = {} if spacecraft is None else spacecraft.model_dump(mode="json")
     for name, (orbit, ephemeris) in list(orbits.items()) if known else ():
-        foreign = foreign_orbit(orbit, ephemeris, known)
+        foreign = catalogue.foreign_orbit(orbit, ephemeris, known)
         if foreign is not None:
             files.left_out[name] = f"orbit of another satellite: {foreign}"
             del orbits[name]
@@ -170,11 +157,15 @@ def propose(files: ImportFiles) -> dict[str, Any]:
     if spacecraft is not None:
         if plan is not None:
             path = files.folder / plain_value(plan_name)
-            files.guarded(path, FileRole.CARRIERS, lambda _: check_plan(plan, spacecraft.longitude_deg, warn))
-        odd = unlikely(spacecraft, plan, spacecraft.longitude_deg)
-    greatest_deg = inclination_deg(orbits[plain_value(orbit_name)][1]) if orbit_name else 0.0
-    steep = Guess("true", f"the orbit is inclined by {greatest_deg:.2f} deg") if greatest_deg > INCLINED_DEG else None
-    carriers = {} if plan is None else carrier_names([each.model_dump() for each in plan.carriers])
+            files.guarded(path, FileRole.CARRIERS, lambda _: catalogue.check_plan(plan, spacecraft.longitude_deg, warn))
+        odd = catalogue.unlikely(spacecraft, plan, spacecraft.longitude_deg)
+    greatest_deg = catalogue.inclination_deg(orbits[plain_value(orbit_name)][1]) if orbit_name else 0.0
+    steep = (
+        Guess("true", f"the orbit is inclined by {greatest_deg:.2f} deg")
+        if greatest_deg > catalogue.INCLINED_DEG
+        else None
+    )
+    carriers = {} if plan is None else catalogue.carrier_names([each.model_dump() for each in plan.carriers])
     is_simulated = bool(spacecraft is not None and spacecraft.simulated)
     tables = {path: role for path, role in roles.items() if path.name not in files.left_out and role in _TABLES}
     made = [_table_entry(files, *each, carriers, is_simulated=is_simulated) for each in sorted(tables.items())]
@@ -210,7 +201,7 @@ def _role_of(path: Path) -> FileRole | None:
         text = ""
         # of several sheets a person states the one of the table
         with suppress(ForeignTableError):
-            text = file_text(path)
+            text = catalogue.file_text(path)
     start = re.sub(r"\A(COMMENT.*\n\s*)*", "", text.lstrip())
     if start.startswith("<"):
         roles = [_MESSAGES[kind] for kind in re.findall(r"<(?:[\w.-]+:)?(oem|omm|aem|tdm)\b", start)]
@@ -238,7 +229,7 @@ def table_of(path: Path, stated: Container) -> Table:
     with path.open("rb") as opened:
         head = opened.read(_HEAD).removeprefix(b"\xef\xbb\xbf").lstrip()
     if head.startswith((VERSIONS["tdm"].encode(), VERSIONS["aem"].encode(), b"<", b"COMMENT")):
-        text = message_text(file_text(path))
+        text = message_text(catalogue.file_text(path))
         return attitude_table(text) if text.startswith(VERSIONS["aem"]) else tracking_table(text)
     if head.startswith(b"{") and b'"references"' in head:
         return _table_of_document(path)
@@ -251,7 +242,7 @@ def _table_of_document(path: Path) -> Table:
 
     from service.api.schemas.inputs import ReferenceBatchDocument
 
-    document = decoded(TypeAdapter(ReferenceBatchDocument), file_text(path).encode())
+    document = catalogue.decoded(TypeAdapter(ReferenceBatchDocument), catalogue.file_text(path).encode())
     epochs_us, rows = [], []
     for each in document.references:
         epochs_us.append(each.epoch)
@@ -365,3 +356,131 @@ def _windows(
         reason = f"found with guesses for {', '.join(dict.fromkeys(guessed))}; propose again once these are stated"
         windows = {name: Guess(window, reason) for name, window in windows.items()}
     return windows | kept, found.shortcomings
+
+
+def require_files(manifest: FolderManifest, folder: Path) -> None:
+    """Refuse a manifest that names a file that is not in its folder, or states no source of one."""
+    single = [manifest.spacecraft.file, manifest.carriers, manifest.ephemeris]
+    tables = (*manifest.powers, *manifest.references)
+    nameless = [each.file for each in tables if not each.source]
+    if nameless:
+        raise ForeignTableError(f"the manifest states no source of {', '.join(nameless)}")
+    names = [*filter(None, single), *(each.file for each in tables)]
+    missing = [name for name in names if not (folder / name).is_file()]
+    if missing:
+        raise ForeignTableError(f"{folder} has no {', '.join(missing)}, which the manifest names")
+
+
+def read_catalogue(folder: Path, manifest: FolderManifest) -> catalogue.OwnCatalogue:
+    """Return the catalogue of a manifest; a file at fault is named."""
+    warnings: list[str] = []
+    spacecraft_file = manifest.spacecraft.file
+    with _of_file(folder, spacecraft_file):
+        spacecraft = (
+            None if spacecraft_file is None else catalogue.read_spacecraft(folder / spacecraft_file, warnings.append)
+        )
+    spacecraft_id = manifest.spacecraft.id if spacecraft is None else spacecraft.id
+    if spacecraft_id is None:
+        text = "the manifest names no spacecraft: state spacecraft.file, or spacecraft.id of one that the service has"
+        raise ForeignTableError(text)
+    with _of_file(folder, manifest.ephemeris):
+        orbit = None if manifest.ephemeris is None else catalogue.read_orbit(folder / manifest.ephemeris)
+        if orbit is not None and spacecraft is not None:
+            members = spacecraft.model_dump(mode="json")
+            catalogue.check_orbit(*orbit, members, is_relocating=False, is_inclined=manifest.inclined)
+    with _of_file(folder, manifest.carriers):
+        plan = None if manifest.carriers is None else catalogue.read_plan(folder / manifest.carriers)
+        if plan is not None and spacecraft is not None:
+            catalogue.check_plan(plan, spacecraft.longitude_deg, warnings.append)
+    if spacecraft is not None and not manifest.confirmed:
+        catalogue.check_likely(spacecraft, plan, spacecraft.longitude_deg)
+    return catalogue.OwnCatalogue(spacecraft_id, spacecraft, plan, orbit)
+
+
+@contextmanager
+def _of_file(folder: Path, name: str | None) -> Iterator[None]:
+    """Name the file in what is raised within."""
+    try:
+        yield
+    except ForeignTableError as error:
+        raise ForeignTableError(f"{folder / str(name)}: {error}") from error
+
+
+def read_tables(
+    client: "ServiceClient", folder: Path, manifest: FolderManifest, own: catalogue.OwnCatalogue, *, is_simulated: bool
+) -> dict[str, TableRows]:
+    """Return the rows of all tables of a manifest by file, each read to its end."""
+    plan = [] if own.plan is None else [each.model_dump() for each in own.plan.carriers]
+    if own.plan is None and manifest.powers:
+        plan = client.carriers(own.spacecraft_id)["carriers"]
+    found, carriers, now_us = {}, catalogue.carrier_names(plan), system_now_us()
+    for stated in (*manifest.references, *manifest.powers):
+        with _of_file(folder, stated.file):
+            path = folder / stated.file
+            interpretation = interpretation_of(path, stated, carriers, now_us, is_simulated=is_simulated)
+            if interpretation.questions or interpretation.rows is None:
+                asked = "; ".join(f"{each.field}: {each.text}" for each in interpretation.questions)
+                raise ForeignTableError(f"the manifest must state {asked}")
+            found[stated.file] = interpretation.rows
+    return found
+
+
+def calibrate(
+    client: "ServiceClient", spacecraft_id: str, manifest: FolderManifest, reason: str | None
+) -> dict[str, Any]:
+    """Make a calibration of the manifest's windows the active one, unless it is, and return it.
+
+    One with warnings stays a draft unless a reason to accept them is given; then the newest such draft is activated.
+    Made again with the same figures, the former draft stays and the new one is deleted.
+    """
+    from service.cli.operation.operate import wait_for_job
+
+    body = {**_stated_windows(manifest, "quiet", "turns"), "method": "geometry"}
+    asked = body | {"sources": dict.fromkeys(("yaw", "roll", "pitch"), _sensor(manifest))}
+    former = [one for one in _calibrations(client, spacecraft_id) if asked.items() <= one.items()]
+    drafts = [one for one in former if one["state"] == "draft" and one["observability"] is not None]
+    active = next((one for one in former if one["state"] == "active"), None)
+    if active is not None:
+        return active
+    if reason and drafts:
+        return client.activate_calibration(spacecraft_id, drafts[0]["id"], reason)
+    started = client.start_calibration(spacecraft_id, body | {"source": _sensor(manifest)})
+    wait_for_job(client, started["job"], "calibration")
+    made = client.calibration(spacecraft_id, started["id"])
+    if not made["quality"].get("warnings") or reason:
+        return client.activate_calibration(spacecraft_id, started["id"], reason)
+    for one in drafts:
+        if all(one[name] == made[name] for name in ("plan_id", "ephemeris_id", "quality", "carriers")):
+            client.request("DELETE", f"/spacecraft/{spacecraft_id}/calibrations/{made['id']}")
+            return one
+    return made
+
+
+def _calibrations(client: "ServiceClient", spacecraft_id: str) -> list[dict[str, Any]]:
+    """Return the calibrations that the service has."""
+    found: list[dict[str, Any]] = client.request("GET", f"/spacecraft/{spacecraft_id}/calibrations")["rows"]
+    return found
+
+
+def align(client: "ServiceClient", spacecraft_id: str, manifest: FolderManifest) -> dict[str, Any]:
+    """Align in the window of the manifest, unless that is done, and return the alignment."""
+    window = _stated_windows(manifest, "align")["align"]
+    active = [each["id"] for each in _calibrations(client, spacecraft_id) if each["state"] == "active"]
+    for each in client.request("GET", f"/spacecraft/{spacecraft_id}/alignments")["rows"]:
+        if each["window"] == window and each["calibration_id"] in active:
+            return dict(each)
+    return client.align(spacecraft_id, window | {"source": _sensor(manifest)})
+
+
+def _stated_windows(manifest: FolderManifest, *names: str) -> dict[str, Any]:
+    """Return windows as the interface has them; ForeignTableError where the manifest does not state them."""
+    stated = manifest.windows.model_dump(mode="json", include=set(names), exclude_none=True)
+    if len(stated) < len(names):
+        where = "soo import FOLDER --propose finds them, or write start and stop"
+        raise ForeignTableError(f"the manifest states no window {' or '.join(names)}: {where}")
+    return stated
+
+
+def _sensor(manifest: FolderManifest) -> str:
+    """Return the sensor of calibration and alignment: that of the first file of readings."""
+    return manifest.references[0].source if manifest.references else "star_tracker"

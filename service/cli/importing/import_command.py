@@ -16,28 +16,22 @@ import typer
 
 from service.cli.command_group import end, new_app
 from service.cli.importing.dialogue import EXIT_DIFFERENT, EXIT_STOPPED, answer, is_terminal, printable, shown, stop
-from service.cli.operation.connection import (
-    DEFAULT_KEY_ENVIRONMENT,
-    DEFAULT_SERVICE,
-    JsonOption,
-    KeyEnvironment,
-    ServiceUrl,
-    connected,
-)
+from service.cli.operation import connection
 
 if TYPE_CHECKING:
     from service.cli.importing.folder import ImportFiles
     from service.cli.importing.manifest import FolderManifest, Guess
     from service.client.service_client import ServiceClient
 
+
 _DRAFT_NEXT = (
     ", its warnings stand and nothing was aligned: correct what they name and run the command again, or accept them "
     'with --accept "REASON", which is stored with the calibration'
 )
-app = new_app()
+import_app = new_app()
 
 
-@app.command("import")
+@import_app.command("import")
 def import_files(
     files: Annotated[list[Path], typer.Argument(help="Folder with the files, or files of one folder.", exists=True)],
     *,
@@ -50,16 +44,16 @@ def import_files(
     align: Annotated[bool, typer.Option("--align", help="Align, so that angles begin.")] = False,
     patience: Annotated[float, typer.Option(min=0.0, help="Seconds to wait for powers and angles.")] = 600.0,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Compare with the service, send nothing.")] = False,
-    service: ServiceUrl = DEFAULT_SERVICE,
-    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
-    as_json: JsonOption = False,
+    service: connection.ServiceUrl = connection.DEFAULT_SERVICE,
+    key_env: connection.KeyEnvironment = connection.DEFAULT_KEY_ENVIRONMENT,
+    as_json: connection.JsonOption = False,
 ) -> None:
     """Send files: spacecraft, carriers, orbit, readings and powers; creates what is missing, changes nothing."""
     if propose and (calibrate or align or dry_run):
         end("--propose sends nothing; run the command again without it")
     # validation and numpy cost more than the command line itself
+    from service.cli.importing.folder import require_files
     from service.cli.importing.manifest import NAME, read_manifest
-    from service.cli.importing.steps import require_files
     from service.formats.foreign.table import ForeignTableError
 
     folder, named = _folder_of(files)
@@ -71,7 +65,7 @@ def import_files(
         manifest = read_manifest(folder)
         require_files(manifest, folder)
         signal.signal(signal.SIGTERM, stop)
-        with connected(service, key_env, retries=0, timeout_s=60.0) as client:
+        with connection.connected(service, key_env, retries=0, timeout_s=60.0) as client:
             done = _import(client, folder, manifest, patience, is_dry=dry_run, is_quiet=as_json)
             if not dry_run:
                 done |= _operate(client, done, manifest, (calibrate, align, accept, patience), is_quiet=as_json)
@@ -203,8 +197,8 @@ def _import(
 ) -> dict[str, Any]:
     """Read everything, then create what is missing and send the files; end where the service has something else."""
     from service.cli.importing.catalogue import compared
+    from service.cli.importing.folder import read_catalogue, read_tables
     from service.cli.importing.sending import SendOrder, SendState, send_powers, send_readings
-    from service.cli.importing.steps import read_catalogue, read_tables
 
     own = read_catalogue(folder, manifest)
     comparison = compared(client, own)
@@ -240,8 +234,8 @@ def _operate(
     is_quiet: bool,
 ) -> dict[str, Any]:
     """Calibrate and align as far as that was asked for; nothing is aligned with a calibration that stays a draft."""
+    from service.cli.importing.folder import align, calibrate
     from service.cli.importing.sending import wait_for_angles
-    from service.cli.importing.steps import align, calibrate
 
     is_calibrated, is_aligned, reason, patience_s = options
     spacecraft_id, found = done["spacecraft"], dict[str, Any]()

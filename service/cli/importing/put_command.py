@@ -18,25 +18,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from service.cli.command_group import end
-from service.cli.importing.dialogue import (
-    EXIT_DIFFERENT,
-    EXIT_STOPPED,
-    FileRole,
-    answer,
-    is_terminal,
-    printable,
-    shown,
-    stop,
-)
-from service.cli.operation.connection import (
-    DEFAULT_KEY_ENVIRONMENT,
-    DEFAULT_SERVICE,
-    JsonOption,
-    KeyEnvironment,
-    ServiceUrl,
-    chosen_spacecraft,
-    connected,
-)
+from service.cli.importing import dialogue
+from service.cli.operation import connection
 
 if TYPE_CHECKING:
     from service.client.service_client import ServiceClient
@@ -46,18 +29,19 @@ if TYPE_CHECKING:
 
 def _spacecraft_of(ctx: typer.Context, given: str) -> str:
     """Return the spacecraft that is meant; the file of one names it itself."""
-    return "" if ctx.params.get("kind") is FileRole.SPACECRAFT else chosen_spacecraft(ctx, given)
+    return "" if ctx.params.get("kind") is dialogue.FileRole.SPACECRAFT else connection.chosen_spacecraft(ctx, given)
 
 
-#: parameters of options that state a mapping, with their form
-_PAIRS = {"map_": "NAME=CARRIER or NAME=AXIS", "sigma_deg": "AXIS=DEG"}
-#: options whose field has another name
-_OPTIONS = {"carriers": "--map", "columns": "--map", "map_": "--map", "time_columns": "--time-column"}
-_CATALOGUE = (FileRole.SPACECRAFT, FileRole.CARRIERS, FileRole.EPHEMERIS)
+#: what may be stated of the catalogue; of a table: the fields of its entry in ``soo.yaml``
+_CATALOGUE = {
+    dialogue.FileRole.SPACECRAFT: ("confirmed",),
+    dialogue.FileRole.CARRIERS: ("confirmed",),
+    dialogue.FileRole.EPHEMERIS: ("inclined", "relocating"),
+}
 
 
 def put(
-    kind: Annotated[FileRole, typer.Argument(help="What the file holds.")],
+    kind: Annotated[dialogue.FileRole, typer.Argument(help="What the file holds.")],
     file: Annotated[Path, typer.Argument(help="The file.", dir_okay=False, exists=True)],
     *,
     spacecraft: Annotated[
@@ -71,88 +55,62 @@ def put(
         ),
     ],
     source: Annotated[str | None, typer.Option(help="Source of the powers, or sensor of the readings.")] = None,
-    from_source: Annotated[str | None, typer.Option(help="Send rows that the file gives to this source.")] = None,
+    state: Annotated[
+        list[str] | None,
+        typer.Option(help="FIELD=VALUE of what no content proves, as in soo.yaml, or of the catalogue; repeat it."),
+    ] = None,
     change: Annotated[bool, typer.Option("--change", help="Change the fields of a spacecraft that differ.")] = False,
-    relocating: Annotated[bool, typer.Option("--relocating", help="The spacecraft leaves its longitude.")] = False,
-    inclined: Annotated[bool, typer.Option("--inclined", help="The orbit is inclined by more than 1 deg.")] = False,
-    confirmed: Annotated[bool, typer.Option("--confirmed", help="Unlikely figures are right.")] = False,
-    time_columns: Annotated[
-        list[str] | None, typer.Option("--time-column", help="Column of the epochs; date and time: state both.")
-    ] = None,
-    time_format: Annotated[
-        str | None, typer.Option(help="`iso`, `unix_s`, `gps_week_s`, `mjd`, ..., or a pattern: %d.%m.%Y %H:%M:%S.")
-    ] = None,
-    tz: Annotated[str | None, typer.Option(help="Zone or scale: UTC, +03:00, Europe/Moscow, GPS, TAI.")] = None,
-    date: Annotated[str | None, typer.Option(help="Day of the first row, where rows have times of day only.")] = None,
-    last_day: Annotated[str | None, typer.Option(help="Day of the newest row, where it is old.")] = None,
-    unit: Annotated[str | None, typer.Option(help="Unit: dBm, dBW, mW, ... or deg, rad, mrad, arcsec, ...")] = None,
-    decimal: Annotated[str | None, typer.Option(help="`point` or `comma`.")] = None,
-    missing: Annotated[
-        list[str] | None, typer.Option(help="Text or number that stands for no reading; none: there is no such.")
-    ] = None,
-    map_: Annotated[list[str] | None, typer.Option("--map", help="NAME=CARRIER or NAME=AXIS; repeat it.")] = None,
-    carrier_column: Annotated[str | None, typer.Option(help="One level a line: column of the carrier.")] = None,
-    level_column: Annotated[str | None, typer.Option(help="One level a line: column of the levels.")] = None,
-    scalar: Annotated[str | None, typer.Option(help="Scalar of quaternions: `first` or `last`.")] = None,
-    sigma_deg: Annotated[list[str] | None, typer.Option(help="AXIS=DEG: one standard deviation, deg.")] = None,
-    sheet: Annotated[str | None, typer.Option(help="Sheet of a workbook.")] = None,
-    separator: Annotated[str | None, typer.Option(help="Separator of the cells: one sign, `tab` or `space`.")] = None,
-    encoding: Annotated[str | None, typer.Option(help="Encoding of the text: cp1251, koi8-r, ...")] = None,
-    skip_lines: Annotated[int, typer.Option(min=0, help="Lines before the header.")] = 0,
-    partial: Annotated[bool, typer.Option("--partial", help="Store the rows that can be read, however few.")] = False,
     refuse_unknown: Annotated[
         bool, typer.Option("--refuse-unknown", help="Refuse columns that are no carrier of the plan.")
     ] = False,
     batch_rows: Annotated[int, typer.Option(min=1, max=10_000, help="Rows of one request at most.")] = 1000,
     patience: Annotated[float, typer.Option(min=0.0, help="Seconds to wait for a service that is away.")] = 600.0,
-    state: Annotated[Path | None, typer.Option(help="Folder for progress and refused rows.", file_okay=False)] = None,
+    progress: Annotated[
+        Path | None, typer.Option(help="Folder for progress and refused rows.", file_okay=False)
+    ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Read and check the file, store nothing.")] = False,
-    service: ServiceUrl = DEFAULT_SERVICE,
-    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
-    as_json: JsonOption = False,
+    service: connection.ServiceUrl = connection.DEFAULT_SERVICE,
+    key_env: connection.KeyEnvironment = connection.DEFAULT_KEY_ENVIRONMENT,
+    as_json: connection.JsonOption = False,
 ) -> None:
     """Store one file: a spacecraft, a carrier plan, an orbit, readings of a sensor, or powers of carriers."""
     options = dict(locals())
     # validation and numpy cost more than the command line itself
-    from service.formats.foreign.columns import PowersStatement, ReadingsStatement
     from service.formats.foreign.table import ForeignTableError
 
-    fields = {*PowersStatement.model_fields, *ReadingsStatement.model_fields, *_PAIRS} - {"file", "source"}
-    stated = {name: value for name, value in options.items() if value and name in fields}
-    stated |= {name: _pairs(stated[name], name) for name in _PAIRS if name in stated}
-    if kind in _CATALOGUE and stated:
-        end(f"{_option_of(next(iter(stated)))} is stated for tables only")
-    signal.signal(signal.SIGTERM, stop)
-    order = _PutOrder(kind, file, spacecraft, stated, options)
-    with connected(service, key_env, retries=0 if kind is FileRole.POWERS else 3, timeout_s=60.0) as client:
+    signal.signal(signal.SIGTERM, dialogue.stop)
+    order = _PutOrder(kind, file, spacecraft, _stated(kind, state or []), options)
+    with connection.connected(
+        service, key_env, retries=0 if kind is dialogue.FileRole.POWERS else 3, timeout_s=60.0
+    ) as client:
         try:
             _PUTTERS[kind](client, order)
         except ForeignTableError as error:
-            end(printable(f"{file}: {error}"), cause=error)
+            end(dialogue.printable(f"{file}: {error}"), cause=error)
         except KeyboardInterrupt as error:
-            end("stopped; the same command continues where this one stopped", EXIT_STOPPED, error)
+            end("stopped; the same command continues where this one stopped", dialogue.EXIT_STOPPED, error)
 
 
 @dataclass(frozen=True, slots=True)
 class _PutOrder:
     """File to be stored, and what a person states of it."""
 
-    kind: FileRole
+    kind: dialogue.FileRole
     file: Path
     spacecraft: str
-    #: fields of a table
+    #: fields of a table, or what is confirmed of the catalogue
     stated: dict[str, Any]
     #: all options
     options: dict[str, Any]
 
     def report(self, document: dict[str, Any], sentence: str) -> None:
         """Print the outcome: JSON for programs, a sentence for people."""
-        typer.echo(json.dumps(document) if self.options["as_json"] else printable(sentence))
+        typer.echo(json.dumps(document) if self.options["as_json"] else dialogue.printable(sentence))
 
     def show(self, rows: Iterable[tuple[str, Any]]) -> None:
         """Print what is understood, for people."""
         for name, value in rows if not self.options["as_json"] else ():
-            typer.echo(printable(f"  {name:24} {shown(value)}"))
+            typer.echo(dialogue.printable(f"  {name:24} {dialogue.shown(value)}"))
 
     def report_rows(self, document: dict[str, Any], more: str = "") -> None:
         """Print what became of the rows of a table; end with 3 where some were not stored."""
@@ -162,27 +120,26 @@ class _PutOrder:
         lines = (f"{document['rows']} rows; nothing was sent",) if is_dry else (counts, *document["faults"], more)
         self.report(document, "\n".join(filter(None, lines)))
         if document["unreadable"] or document.get("refused"):
-            raise typer.Exit(EXIT_DIFFERENT)
-
-    def fields(self, mapping: str, source: str) -> dict[str, Any]:
-        """Return the fields of a statement; the mapping of its columns has the stated name."""
-        return {mapping if name == "map_" else name: value for name, value in self.stated.items()} | {"source": source}
+            raise typer.Exit(dialogue.EXIT_DIFFERENT)
 
     def warn(self, text: str) -> None:
         """Print a warning."""
-        typer.echo(printable(f"warning: {text}"), err=True)
+        typer.echo(dialogue.printable(f"warning: {text}"), err=True)
 
 
-def _pairs(given: list[str], option: str) -> dict[str, str]:
-    """Return values by name from ``NAME=VALUE``, or end; a name may hold equals signs."""
-    found: dict[str, str] = {}
-    for pair in given:
-        name, _, value = (part.strip() for part in pair.rpartition("="))
-        if not name or not value:
-            end(f"{_option_of(option)} {pair!r}: write {_PAIRS[option]}")
-        if name in found:
-            end(f"{_option_of(option)} names one thing twice; state each once")
-        found[name] = value
+def _stated(kind: dialogue.FileRole, texts: list[str]) -> dict[str, Any]:
+    """Return what is stated of a file by field, or end."""
+    from service.cli.importing.manifest import read_statement
+
+    found: dict[str, Any] = {}
+    for text in texts:
+        field, _, value = text.partition("=")
+        if not field or not value:
+            end(f"--state {text!r}: write FIELD=VALUE, as --state tz=Europe/Moscow")
+        if kind in _CATALOGUE and (field not in _CATALOGUE[kind] or value != "true"):
+            fields = " or ".join(f"{name}=true" for name in _CATALOGUE[kind])
+            end(f"--state {text!r}: of {kind} may be stated {fields}")
+        found[field] = read_statement(value)
     return found
 
 
@@ -197,7 +154,7 @@ def _put_spacecraft(client: "ServiceClient", order: _PutOrder) -> None:
     )
 
     document = read_spacecraft(order.file, order.warn)
-    if not order.options["confirmed"]:
+    if "confirmed" not in order.stated:
         check_likely(document, None, document.longitude_deg)
     stated = document.model_dump(mode="json", exclude_unset=True)
     order.show(flat(stated).items())
@@ -219,7 +176,7 @@ def _put_spacecraft(client: "ServiceClient", order: _PutOrder) -> None:
         verdict = f"spacecraft {document.id} is changed"
     order.report({"understood": stated, "is_known": known is not None, "differences": list(differences)}, verdict)
     if differences and not is_change:
-        raise typer.Exit(EXIT_DIFFERENT)
+        raise typer.Exit(dialogue.EXIT_DIFFERENT)
 
 
 def _put_carriers(client: "ServiceClient", order: _PutOrder) -> None:
@@ -234,7 +191,7 @@ def _put_carriers(client: "ServiceClient", order: _PutOrder) -> None:
     check_plan(plan, longitude_deg, warnings.append)
     for text in warnings:
         order.warn(text)
-    if not order.options["confirmed"]:
+    if "confirmed" not in order.stated:
         check_likely(None, plan, longitude_deg)
     if order.options["dry_run"]:
         order.report({"carriers": rows, "warnings": warnings}, f"{len(rows)} carriers; nothing was stored")
@@ -249,12 +206,12 @@ def _put_orbit(client: "ServiceClient", order: _PutOrder) -> None:
     from service.cli.importing.catalogue import check_orbit, read_orbit, understood_orbit
 
     orbit, ephemeris = read_orbit(order.file)
-    known, options = client.spacecraft(order.spacecraft), order.options
+    known = client.spacecraft(order.spacecraft)
     understood = understood_orbit(orbit, ephemeris, client.status(order.spacecraft)["now"])
     order.show((name, value) for name, value in understood.items() if value is not None)
-    is_relocating = options["relocating"]
-    check_orbit(orbit, ephemeris, known, is_relocating=is_relocating, is_inclined=options["inclined"])
-    if options["dry_run"]:
+    is_relocating = "relocating" in order.stated
+    check_orbit(orbit, ephemeris, known, is_relocating=is_relocating, is_inclined="inclined" in order.stated)
+    if order.options["dry_run"]:
         order.report({"understood": understood}, "nothing was stored")
         return
     stored = client.put_ephemeris(order.spacecraft, orbit.body | ({"relocating": True} if is_relocating else {}))
@@ -281,7 +238,7 @@ def _put_references(client: "ServiceClient", order: _PutOrder) -> None:
     source = order.options["source"] or "star_tracker"
     if source not in SENSOR_NAMES:
         end(f"--source {source[:40]!r} is no sensor; write {', '.join(SENSOR_NAMES)}")
-    statement, rows, document = _rows_of(client, order, ReadingsStatement, order.fields("columns", source), {})
+    statement, rows, document = _rows_of(client, order, ReadingsStatement, order.stated | {"source": source}, {})
     if not order.options["dry_run"]:
         document |= send_readings(client, order.spacecraft, statement, rows)
     order.report_rows(document)
@@ -297,10 +254,10 @@ def _put_powers(client: "ServiceClient", order: _PutOrder) -> None:
     options, spacecraft = order.options, order.spacecraft
     if options["source"] is None:
         end("state --source, under which the powers are stored")
-    fields, patience_s = order.fields("carriers", options["source"]), options["patience"]
+    fields, patience_s = order.stated | {"source": options["source"]}, options["patience"]
     said = json.dumps(fields, sort_keys=True, default=str)
     sending = SendOrder(
-        order.file, spacecraft, options["source"], said, options["batch_rows"], patience_s, options["state"]
+        order.file, spacecraft, options["source"], said, options["batch_rows"], patience_s, options["progress"]
     )
     state = SendState(sending, client.service_url)
     # rows that were sent before go again under the plan that they were sent under
@@ -338,11 +295,11 @@ def _rows_of(
         read = interpretation_of(order.file, statement, carriers, system_now_us(), is_simulated=is_simulated)
         if not read.questions and read.rows is not None:
             break
-        if order.options["as_json"] or not is_terminal():
-            end(printable(_open_questions(order, read)))
+        if order.options["as_json"] or not dialogue.is_terminal():
+            end(dialogue.printable(_open_questions(order, read)))
         order.show(_understood(read))
         for question in read.questions:
-            fields[question.field] = answer(_question(question), question.default)
+            fields[question.field] = dialogue.answer(_question(question), question.default)
     odd = [note for note in read.notes if note.startswith("no carrier of the plan")]
     if odd and order.options["refuse_unknown"]:
         raise ForeignTableError(odd[0])
@@ -355,30 +312,25 @@ def _rows_of(
 
 
 _PUTTERS = {
-    FileRole.SPACECRAFT: _put_spacecraft,
-    FileRole.CARRIERS: _put_carriers,
-    FileRole.EPHEMERIS: _put_orbit,
-    FileRole.REFERENCES: _put_references,
-    FileRole.POWERS: _put_powers,
+    dialogue.FileRole.SPACECRAFT: _put_spacecraft,
+    dialogue.FileRole.CARRIERS: _put_carriers,
+    dialogue.FileRole.EPHEMERIS: _put_orbit,
+    dialogue.FileRole.REFERENCES: _put_references,
+    dialogue.FileRole.POWERS: _put_powers,
 }
 
 
 def _understood(interpretation: "Interpretation") -> list[tuple[str, str]]:
     """Return how a table is read, for people."""
     asked = {each.field for each in interpretation.questions}
-    fields = [(name, shown(value)) for name, value in interpretation.found.items() if name not in asked]
+    fields = [(name, dialogue.shown(value)) for name, value in interpretation.found.items() if name not in asked]
     return [*fields, *(("note", note) for note in interpretation.notes)]
 
 
-def _option_of(field: str) -> str:
-    """Return the option that states a field."""
-    return _OPTIONS.get(field, f"--{field.replace('_', '-')}")
-
-
 def _question(question: "Question") -> str:
-    """Return a question with its option and choices."""
+    """Return a question with its field and choices."""
     choices = f" [{', '.join(question.choices[:20])}]" if question.choices else ""
-    return f"{_option_of(question.field)}: {question.text}{choices}"
+    return f"{question.field}: {question.text}{choices}"
 
 
 def _open_questions(order: _PutOrder, interpretation: "Interpretation") -> str:
@@ -387,14 +339,8 @@ def _open_questions(order: _PutOrder, interpretation: "Interpretation") -> str:
     words = [word for word in sys.argv[1:] if word != "--json"] if sys.argv[1:2] == ["put"] else ["put", "..."]
     command = ["soo", *words]
     for question in interpretation.questions:
-        option, default = _option_of(question.field), question.default
-        lines.append(f"  {_question(question)}" + ("" if default is None else f"; likely {shown(default)}"))
-        if isinstance(default, dict):
-            values = [f"{name}={value}" for name, value in default.items()]
-        elif option == "--map" or default is None:
-            values = ["NAME=..." if option == "--map" else option.removeprefix("--").upper()]
-        else:
-            values = list(map(str, default)) if isinstance(default, list | tuple) else str(default).split(" + ")
-        command += [word for value in values for word in (option, value)]
+        value = "VALUE" if question.default is None else dialogue.shown(question.default)
+        lines.append(f"  {_question(question)}" + ("" if question.default is None else f"; likely {value}"))
+        command += ["--state", f"{question.field}={value}"]
     notes = (f"  ({note})" for note in interpretation.notes)
     return "\n".join((*lines, *notes, "State it:", f"  {shlex.join(command)}"))

@@ -12,7 +12,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from service.cli.command_group import end
-from service.cli.studies.screen import ended_by_signals
+from service.cli.studies import ended_by_signals
 from service.composition.bootstrap import build_clock, open_storage, storage_opener
 from service.composition.settings import Settings
 from service.errors import SooError

@@ -6,14 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from service.cli.operation.connection import (
-    DEFAULT_KEY_ENVIRONMENT,
-    DEFAULT_SERVICE,
-    JsonOption,
-    KeyEnvironment,
-    ServiceUrl,
-    connected,
-)
+from service.cli.operation import connection
 from service.errors import SooError
 from service.records.epoch import US_PER_S, format_epoch, parse_epoch
 
@@ -50,9 +43,9 @@ def plan(
     turns_start: Annotated[str | None, typer.Option(help="RFC 3339 start of the turns; default: from +0:00.")] = None,
     figure: Annotated[Path | None, typer.Option(help="Draw the stations into this PNG or SVG file.")] = None,
     report: Annotated[Path | None, typer.Option(help="Write Markdown, JSON and figures into this folder.")] = None,
-    service: ServiceUrl = DEFAULT_SERVICE,
-    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
-    as_json: JsonOption = False,
+    service: connection.ServiceUrl = connection.DEFAULT_SERVICE,
+    key_env: connection.KeyEnvironment = connection.DEFAULT_KEY_ENVIRONMENT,
+    as_json: connection.JsonOption = False,
 ) -> None:
     """Choose carriers, judge what they can see, and print a timetable of calibration turns."""
     # numpy and httpx cost more than the command line itself
@@ -69,7 +62,7 @@ def plan(
     try:
         begin_us = None if turns_start is None else parse_epoch(turns_start)
         if spacecraft is not None:
-            with connected(service, key_env) as client:
+            with connection.connected(service, key_env) as client:
                 planning = planned_by_service(client, spacecraft, request)
         elif spacecraft_file is not None and carriers_file is not None:
             files = PlanFiles(spacecraft_file, carriers_file, contours, quiet, ephemeris)
@@ -124,7 +117,7 @@ def _draw(planning: "CarrierPlanning", figure: Path | None, report: Path | None)
 
             draw_planning(planning, figure)
         if report is not None:
-            from service.cli.planning.report_folder import write_report
+            from service.cli.planning.report import write_report
 
             write_report(planning, report)
     except (OSError, ValueError) as error:

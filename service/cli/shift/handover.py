@@ -7,19 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from service.cli.command_group import end
-from service.cli.extras import require
-from service.cli.operation.connection import (
-    DEFAULT_KEY_ENVIRONMENT,
-    DEFAULT_SERVICE,
-    OLDER,
-    JsonOption,
-    KeyEnvironment,
-    ServiceUrl,
-    SpacecraftOption,
-    connected,
-    on_service,
-)
+from service.cli.command_group import end, require
+from service.cli.operation import connection
 from service.cli.shift.pages import PageFormat, Section, handover_sections, page
 from service.cli.shift.tables import utc
 from service.client.documents import Json
@@ -33,13 +22,13 @@ Output = Annotated[Path | None, typer.Option(help="File to write; default: stand
 _HOURS = {"day": 24, "shift": 8}
 
 
-@on_service
+@connection.on_service
 def handover(
     client: "ServiceClient",
-    spacecraft: SpacecraftOption,
+    spacecraft: connection.SpacecraftOption,
     format_: Format = "md",
     output: Output = None,
-    as_json: JsonOption = False,
+    as_json: connection.JsonOption = False,
 ) -> None:
     """Write what the next shift must know: alarms, control, operations, links, what ends, notes."""
     found = client.request("GET", f"/spacecraft/{spacecraft}/handover")
@@ -53,18 +42,18 @@ def handover(
 
 def report(
     span: Annotated[Literal["day", "shift"], typer.Argument(help="day: 24 h, shift: 8 h.")],
-    spacecraft: SpacecraftOption,
+    spacecraft: connection.SpacecraftOption,
     format_: Format = "html",
     output: Output = None,
-    service: ServiceUrl = DEFAULT_SERVICE,
-    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
+    service: connection.ServiceUrl = connection.DEFAULT_SERVICE,
+    key_env: connection.KeyEnvironment = connection.DEFAULT_KEY_ENVIRONMENT,
 ) -> None:
     """Write a report of the last day or shift with figures, then the hand-over."""
     require("matplotlib")
     # numpy and matplotlib cost more than the command line itself
     from service.cli.shift.day import drawn, figures, happened, samples_of
 
-    with connected(service, key_env) as client:
+    with connection.connected(service, key_env) as client:
         found = client.request("GET", f"/spacecraft/{spacecraft}/handover")
         row, control = Json(client.attitude(spacecraft)), Json(client.control(spacecraft))
         stop_us = parse_epoch(found["at"]) + 1
@@ -86,7 +75,7 @@ def _written(make: Callable[[], str]) -> str:
     try:
         return make()
     except KeyError as error:
-        end(f"the answer of the service has no {error}: {OLDER}", 1, error)
+        end(f"the answer of the service has no {error}: {connection.OLDER}", 1, error)
 
 
 def _deliver(text: str, output: Path | None) -> None:

@@ -7,23 +7,7 @@ import typer
 
 from service.cli.command_group import end
 from service.cli.operation.connection import JsonOption, SpacecraftOption, on_service
-from service.cli.shift.tables import (
-    alarm_line,
-    alarm_lines,
-    axes_table,
-    clean,
-    columns,
-    excluded_line,
-    link_line,
-    meaning,
-    number,
-    reasons_table,
-    sentence,
-    show,
-    utc,
-    words,
-    worst_first,
-)
+from service.cli.shift import tables
 from service.client.documents import Json
 from service.records.epoch import US_PER_S, format_epoch, parse_epoch
 
@@ -43,7 +27,7 @@ AlarmId = Annotated[int, typer.Argument(help="Id of the alarm, as `soo alarms` l
 def ack(client: "ServiceClient", alarm: AlarmId, comment: Comment = "", as_json: JsonOption = False) -> None:
     """Acknowledge an alarm; no further notice unless it becomes worse or comes back."""
     found = client.request("POST", f"/alarms/{alarm}:acknowledge", {"comment": comment})
-    show(found, lambda: [alarm_line(found)], as_json=as_json)
+    tables.show(found, lambda: [tables.alarm_line(found)], as_json=as_json)
 
 
 @on_service
@@ -61,7 +45,7 @@ def shelve(
         end(f"{spacecraft} has no present before its first row, so nothing can be shelved until an instant", 1)
     until = format_epoch(parse_epoch(now) + round(hours * 3600 * US_PER_S))
     found = client.request("POST", f"/alarms/{alarm}:shelve", {"until": until, "comment": comment})
-    show(found, lambda: [f"shelved until {utc(until)} UTC", alarm_line(found)], as_json=as_json)
+    tables.show(found, lambda: [f"shelved until {tables.utc(until)} UTC", tables.alarm_line(found)], as_json=as_json)
 
 
 @on_service
@@ -75,7 +59,11 @@ def note(
     """Write a note into the shift log."""
     body = {"text": text, "spacecraft_id": spacecraft, "corrects": corrects}
     found = client.request("POST", "/notes", body)
-    show(found, lambda: [f"note {found['id']} of {utc(found['epoch'])} UTC: {clean(found['text'])}"], as_json=as_json)
+    tables.show(
+        found,
+        lambda: [f"note {found['id']} of {tables.utc(found['epoch'])} UTC: {tables.clean(found['text'])}"],
+        as_json=as_json,
+    )
 
 
 EXIT_ATTENTION, EXIT_TRIPPED = 3, 4
@@ -89,19 +77,21 @@ def status(client: "ServiceClient", spacecraft: SpacecraftOption, as_json: JsonO
     verdict = found["control"]
 
     def parts() -> "Iterator[RenderableType]":
-        yield f"{spacecraft}: {sentence(found, row, control)}"
-        yield f"{words('views.control.title')}: {meaning('states', verdict['state'])}"
+        yield f"{spacecraft}: {tables.sentence(found, row, control)}"
+        yield f"{tables.words('views.control.title')}: {tables.meaning('states', verdict['state'])}"
         if verdict["reasons"]:
-            yield reasons_table(verdict["reasons"])
-        newest, now = utc(found["newest_attitude"]), utc(found["now"])
+            yield tables.reasons_table(verdict["reasons"])
+        newest, now = tables.utc(found["newest_attitude"]), tables.utc(found["now"])
         yield f"newest row {newest}, now {now} UTC; rows pending: {found['pending']}"
         if found["methods_disagree"]:
-            yield f"{meaning('alarms', 'methods_disagree')}: {meaning('alarms', 'methods_disagree', 'next')}"
+            disagreement = tables.meaning("alarms", "methods_disagree")
+            yield f"{disagreement}: {tables.meaning('alarms', 'methods_disagree', 'next')}"
         for each in found["advice"]:
-            yield f"{meaning('advice', each['code'], default=each['text'])}: {meaning('advice', each['code'], 'next')}"
-        yield from map(link_line, found["links"])
+            advice = tables.meaning("advice", each["code"], default=each["text"])
+            yield f"{advice}: {tables.meaning('advice', each['code'], 'next')}"
+        yield from map(tables.link_line, found["links"])
 
-    show(found, parts, as_json=as_json)
+    tables.show(found, parts, as_json=as_json)
     if not verdict["allowed"]:
         raise typer.Exit(EXIT_TRIPPED if verdict["state"] == "TRIPPED" else EXIT_ATTENTION)
 
@@ -115,17 +105,21 @@ def attitude(client: "ServiceClient", spacecraft: SpacecraftOption, as_json: Jso
         control = Json(client.control(spacecraft))
 
     def parts() -> "Iterator[RenderableType]":
-        said = [meaning("statuses", row["status"]), meaning("statuses", row["status"], "next")]
-        yield f"{spacecraft}, {utc(row['epoch'])} UTC: {'; '.join(filter(None, said))}"
-        yield axes_table(row, other, control)
-        yield f"{row['carriers_used']} carriers used, left out: {excluded_line(row)}"
-        fade = f"{number(row['downlink_fade_db'], 2)} dB" if row["downlink_fade"] else words("views.now.none")
-        residual = number(row["residual_rms_db"], 2)
-        yield f"{words('views.now.fade')}: {fade}; {words('views.now.residual')}: {residual} dB"
+        said = [tables.meaning("statuses", row["status"]), tables.meaning("statuses", row["status"], "next")]
+        yield f"{spacecraft}, {tables.utc(row['epoch'])} UTC: {'; '.join(filter(None, said))}"
+        yield tables.axes_table(row, other, control)
+        yield f"{row['carriers_used']} carriers used, left out: {tables.excluded_line(row)}"
+        fade = (
+            f"{tables.number(row['downlink_fade_db'], 2)} dB"
+            if row["downlink_fade"]
+            else tables.words("views.now.none")
+        )
+        residual = tables.number(row["residual_rms_db"], 2)
+        yield f"{tables.words('views.now.fade')}: {fade}; {tables.words('views.now.residual')}: {residual} dB"
         for code in row["inhibitions"]:
-            yield f"{meaning('reasons', code)}: {meaning('reasons', code, 'next')}"
+            yield f"{tables.meaning('reasons', code)}: {tables.meaning('reasons', code, 'next')}"
 
-    show(row, parts, as_json=as_json)
+    tables.show(row, parts, as_json=as_json)
     if row["status"] != "ACQUIRED":
         raise typer.Exit(EXIT_ATTENTION)
 
@@ -137,22 +131,22 @@ def carriers(client: "ServiceClient", spacecraft: SpacecraftOption, as_json: Jso
     reasons = {each["carrier"]: each["reason"] for each in row["excluded"]}
 
     def parts() -> "Iterator[RenderableType]":
-        count = words("views.now.used", used=row["carriers_used"], all=len(plan["carriers"]))
-        yield f"{spacecraft}, {utc(row['epoch'])} UTC: {count}"
-        table = columns("carrier", "state", "next step", "transponder", "station")
+        count = tables.words("views.now.used", used=row["carriers_used"], all=len(plan["carriers"]))
+        yield f"{spacecraft}, {tables.utc(row['epoch'])} UTC: {count}"
+        table = tables.columns("carrier", "state", "next step", "transponder", "station")
         for each in sorted(plan["carriers"], key=lambda one: one["id"] not in reasons):
             reason = reasons.get(each["id"])
             used = "carrierUsed" if each["enabled"] and row["epoch"] else "noRow" if each["enabled"] else "carrierOff"
             table.add_row(
-                clean(each["id"]),
-                words(f"views.now.{used}") if reason is None else meaning("exclusions", reason),
-                "" if reason is None else meaning("exclusions", reason, "next"),
-                clean(each["transponder"]),
-                clean((each["station"] or {}).get("name") or ""),
+                tables.clean(each["id"]),
+                tables.words(f"views.now.{used}") if reason is None else tables.meaning("exclusions", reason),
+                "" if reason is None else tables.meaning("exclusions", reason, "next"),
+                tables.clean(each["transponder"]),
+                tables.clean((each["station"] or {}).get("name") or ""),
             )
         yield table
 
-    show({"carriers": plan, "attitude": row}, parts, as_json=as_json)
+    tables.show({"carriers": plan, "attitude": row}, parts, as_json=as_json)
     if reasons:
         raise typer.Exit(EXIT_ATTENTION)
 
@@ -160,10 +154,10 @@ def carriers(client: "ServiceClient", spacecraft: SpacecraftOption, as_json: Jso
 @on_service
 def alarms(client: "ServiceClient", spacecraft: SpacecraftOption, as_json: JsonOption = False) -> None:
     """List open alarms with their ids and next steps."""
-    rows = worst_first(client.pages(f"/spacecraft/{spacecraft}/alarms"))
-    show(
+    rows = tables.worst_first(client.pages(f"/spacecraft/{spacecraft}/alarms"))
+    tables.show(
         {"rows": rows},
-        lambda: chain(*map(alarm_lines, rows)) if rows else [f"{spacecraft}: {words('app.alarms.none')}"],
+        lambda: chain(*map(tables.alarm_lines, rows)) if rows else [f"{spacecraft}: {tables.words('app.alarms.none')}"],
         as_json=as_json,
     )
     if rows:

@@ -14,32 +14,8 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 
 from service.cli.command_group import end
-from service.cli.operation.connection import (
-    DEFAULT_KEY_ENVIRONMENT,
-    DEFAULT_SERVICE,
-    OLDER,
-    KeyEnvironment,
-    ServiceUrl,
-    SpacecraftOption,
-    connected,
-)
-from service.cli.shift.tables import (
-    AXES,
-    SEVERITY_STYLES,
-    alarm_line,
-    axes_table,
-    clean,
-    excluded_line,
-    limit_of,
-    link_line,
-    meaning,
-    number,
-    screen,
-    sentence,
-    utc,
-    words,
-    worst_first,
-)
+from service.cli.operation import connection
+from service.cli.shift import tables
 from service.client.documents import Json
 from service.records.epoch import DAY_US, US_PER_S, format_epoch, parse_epoch
 
@@ -79,14 +55,17 @@ def render(state: LiveState, console: "Console", cut: str = "") -> "RenderableTy
     blocks = _BLOCKS if console.encoding.startswith("utf") else _ASCII
     above = list(_above(state, cut, blocks, console.width))
     room = max(0, console.height - _FRAME_LINES - _height(console, above))
-    alarms, links = list(map(alarm_line, worst_first(state.alarms))), list(map(link_line, state.status["links"]))
+    alarms, links = (
+        list(map(tables.alarm_line, tables.worst_first(state.alarms))),
+        list(map(tables.link_line, state.status["links"])),
+    )
     # a list that needs less than its half leaves the rest to the other one
     needs = [_height(console, _entries(each, "")) for each in (alarms, links)]
     for_links = min(needs[1], max(room // 2, room - needs[0]))
     return Group(
         *above,
-        *_list(words("views.shift.alarms"), alarms, "yellow", console, room - for_links),
-        *_list(words("views.now.links"), links, "", console, for_links),
+        *_list(tables.words("views.shift.alarms"), alarms, "yellow", console, room - for_links),
+        *_list(tables.words("views.now.links"), links, "", console, for_links),
         _line("q ends", "dim"),
     )
 
@@ -98,17 +77,17 @@ def _above(state: LiveState, cut: str, blocks: str, width: int) -> "Iterator[Ren
     if cut:
         yield _line(cut, "bold reverse", is_cut=False)
         yield _line("below is what was last read; what holds now is not known", "bold")
-    style = "bold" if cut else SEVERITY_STYLES[verdict["situation"]["severity"]]
-    yield _line(sentence(status, row, state.control), style, is_cut=False)
-    simulated = f" {words('app.simulated')}" if state.spacecraft["simulated"] else ""
-    title = f"{clean(state.spacecraft['id'])}{simulated}, {utc(status['now'])} UTC"
+    style = "bold" if cut else tables.SEVERITY_STYLES[verdict["situation"]["severity"]]
+    yield _line(tables.sentence(status, row, state.control), style, is_cut=False)
+    simulated = f" {tables.words('app.simulated')}" if state.spacecraft["simulated"] else ""
+    title = f"{tables.clean(state.spacecraft['id'])}{simulated}, {tables.utc(status['now'])} UTC"
     yield _line(title, is_cut=False)
-    yield _line(f"{words('views.control.title')}: {meaning('states', verdict['state'])}", is_cut=False)
-    yield axes_table(row, state.other, state.control)
-    yield _line(_strip(state, limit_of(conditions, "protection_level"), blocks, width))
-    yield _line(f"{words('views.now.torque')}: {_torque(state.torque)}", is_cut=False)
-    used = words("views.now.used", used=row["carriers_used"], all=row["carriers_used"] + len(row["excluded"]))
-    carriers = f"{words('views.now.carriers')}: {used}; left out: {excluded_line(row)}"
+    yield _line(f"{tables.words('views.control.title')}: {tables.meaning('states', verdict['state'])}", is_cut=False)
+    yield tables.axes_table(row, state.other, state.control)
+    yield _line(_strip(state, tables.limit_of(conditions, "protection_level"), blocks, width))
+    yield _line(f"{tables.words('views.now.torque')}: {_torque(state.torque)}", is_cut=False)
+    used = tables.words("views.now.used", used=row["carriers_used"], all=row["carriers_used"] + len(row["excluded"]))
+    carriers = f"{tables.words('views.now.carriers')}: {used}; left out: {tables.excluded_line(row)}"
     # lines break between words, each before its end
     most = _CARRIER_LINES * width * 4 // 5
     yield _line(carriers if len(carriers) <= most else f"{carriers[:most]}…", is_cut=False)
@@ -135,7 +114,7 @@ def _height(console: "Console", parts: "Iterable[RenderableType]") -> int:
 
 def _list(title: str, lines: list[str], style: str, console: "Console", room: int) -> "Iterator[RenderableType]":
     """Yield a list under its title: a line each, the first ones whole while there is room, and the rest counted."""
-    yield _line(f"{title}: {len(lines) or words('views.now.none')}", "bold")
+    yield _line(f"{title}: {len(lines) or tables.words('views.now.none')}", "bold")
     # the first entry says more than the number of the others, which the title says
     shown = lines if len(lines) <= room else lines[: min(room, max(1, room - 1))]
     spare = room - len(lines)
@@ -145,24 +124,27 @@ def _list(title: str, lines: list[str], style: str, console: "Console", room: in
         yield from [whole] if more <= spare else _entries([each], style, is_cut=True)
         spare -= more if more <= spare else 0
     if 1 < room < len(lines):
-        yield _line(f"  {words('views.now.more', count=len(lines) - len(shown))}", style)
+        yield _line(f"  {tables.words('views.now.more', count=len(lines) - len(shown))}", style)
 
 
 def _torque(torque: Json | None) -> str:
     """Return the impulse of the newest computed command about each axis."""
     impulses = torque and torque.get("impulse_n_m_s")
     if not impulses:
-        return words("views.now.none")
-    return ", ".join(f"{axis} {number(impulses[axis], 4, '+')}" for axis in AXES) + f" {words('app.unit.n_m_s')}"
+        return tables.words("views.now.none")
+    return (
+        ", ".join(f"{axis} {tables.number(impulses[axis], 4, '+')}" for axis in tables.AXES)
+        + f" {tables.words('app.unit.n_m_s')}"
+    )
 
 
 def _strip(state: LiveState, alert_deg: float | None, blocks: str, width: int) -> str:
     """Return the greater protection level of roll and pitch over a day; ``!`` is beyond the alert limit."""
-    title = f"{words('views.now.protection')}, 24 h"
+    title = f"{tables.words('views.now.protection')}, 24 h"
     present = state.status["now"]
     if state.samples is None or present is None:
-        return f"{title}: {words('views.now.none')}"
-    limit = f"{words('views.now.ofAlert', alert=number(alert_deg, 2))} deg"
+        return f"{title}: {tables.words('views.now.none')}"
+    limit = f"{tables.words('views.now.ofAlert', alert=tables.number(alert_deg, 2))} deg"
     columns = max(_LEAST_COLUMNS, min(_STRIP_COLUMNS, width - len(title) - len(limit) - 2))
     start_us = parse_epoch(present) - DAY_US
     greatest: dict[int, float] = {}
@@ -294,27 +276,27 @@ class LiveReader:
         from service.runtime.clock import system_now_us
 
         if not self.cut:
-            since = words("app.link.cut", at=utc(format_epoch(system_now_us())))
-            self.cut = f"{since}: {clean(error)}"
+            since = tables.words("app.link.cut", at=tables.utc(format_epoch(system_now_us())))
+            self.cut = f"{since}: {tables.clean(error)}"
 
 
 def watch(
-    spacecraft: SpacecraftOption,
+    spacecraft: connection.SpacecraftOption,
     once: Annotated[bool, typer.Option("--once", help="Print one screen and end, as without a terminal.")] = False,
-    service: ServiceUrl = DEFAULT_SERVICE,
-    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
+    service: connection.ServiceUrl = connection.DEFAULT_SERVICE,
+    key_env: connection.KeyEnvironment = connection.DEFAULT_KEY_ENVIRONMENT,
 ) -> None:
     """Follow a spacecraft on one screen; q or Ctrl-C ends it."""
-    console = screen()
+    console = tables.screen()
     with (
-        connected(service, key_env, retries=0, timeout_s=_TIMEOUT_S) as client,
-        connected(service, key_env) as streaming,
+        connection.connected(service, key_env, retries=0, timeout_s=_TIMEOUT_S) as client,
+        connection.connected(service, key_env) as streaming,
     ):
         try:
             reader = LiveReader(client, streaming, spacecraft)
             first = render(reader.state, console)
         except KeyError as error:
-            end(f"the answer of the service has no {error}: {OLDER}", 1, error)
+            end(f"the answer of the service has no {error}: {connection.OLDER}", 1, error)
         if once or not console.is_terminal:
             console.print(first)
             return

@@ -5,7 +5,6 @@ died, 2 the task or an option is wrong, or another process uses the spool. The k
 from the command line.
 """
 
-import json
 import logging
 from enum import StrEnum
 from functools import partial
@@ -14,9 +13,9 @@ from typing import Annotated
 
 import typer
 
+from service.cli.command_group import state_folder
 from service.cli.operation.connection import key_of, stored_key
-from service.cli.station.state_folder import state_folder
-from service.records.epoch import US_PER_S, format_epoch
+from service.runtime.log_format import write_log
 
 
 class EpochClock(StrEnum):
@@ -24,22 +23,6 @@ class EpochClock(StrEnum):
 
     ANALYZER = "analyzer"
     SYSTEM = "system"
-
-
-class JsonLines(logging.Formatter):
-    """One JSON object a line: time, level, logger, message."""
-
-    def format(self, record: logging.LogRecord) -> str:
-        """Return one record as a line."""
-        entry = {
-            "time": format_epoch(round(record.created * US_PER_S)),
-            "level": record.levelname.lower(),
-            "logger": record.name,
-            "message": record.getMessage(),
-        }
-        if record.exc_info:
-            entry["exception"] = self.formatException(record.exc_info)
-        return json.dumps(entry)
 
 
 def acquire(
@@ -83,21 +66,15 @@ def acquire(
         float, typer.Option(min=0.0, help="Seconds between reports of the links; 0 = no reports.")
     ] = 5.0,
     check: Annotated[bool, typer.Option("--check", help="Show the plan and end.")] = False,
-    states: Annotated[bool, typer.Option("--states", help="Print the page of states (Markdown) and end.")] = False,
     json_log: Annotated[bool, typer.Option("--json-log", help="Log one JSON object a line.")] = False,
 ) -> None:
     """Measure carrier powers on spectrum analyzers and send them to the service."""
-    if states:
-        from service.frontend.acquisition.states import reference_page
-
-        typer.echo(reference_page(), nl=False)
-        return
     # plans, spool and client cost half a second that a wrong option need not pay
     from service.cli.station.acquisition_run import Delivery, entries_of, log_summary, measure, planned_of, refuse
     from service.frontend.spool.file import Bounds
-    from service.frontend.tasks.station_file import StationEntry
+    from service.frontend.tasks.task_plan import StationEntry
 
-    _start_log(json_log=json_log)
+    write_log("INFO", "json" if json_log else "text")
     if station_file is not None:
         entries = entries_of(station_file, task_file)
     elif task_file is not None and spacecraft is not None:
@@ -126,13 +103,3 @@ def acquire(
     delivery = Delivery(service, key, partial(stored_key, key_env), batch_rows, batch_s, folder, bounds, trace_period)
     for each, summary in zip(planned, measure(planned, delivery, report_s), strict=True):
         log_summary(each.entry, summary)
-
-
-def _start_log(*, json_log: bool) -> None:
-    """Log to standard error, one line an event."""
-    handler = logging.StreamHandler()
-    plain = logging.Formatter("%(asctime)s %(levelname)s %(message)s")
-    handler.setFormatter(JsonLines() if json_log else plain)
-    root = logging.getLogger("service")
-    root.handlers = [handler]
-    root.setLevel(logging.INFO)

@@ -24,8 +24,7 @@ from service.frontend.spool.file import Bounds, Owner
 from service.frontend.spool.row import SpooledTask, SpoolError
 from service.frontend.spool.spool import Spool, spool_path
 from service.frontend.station import MeasuringStation, StationError, StationSummary, run_stations
-from service.frontend.tasks.station_file import StationEntry, load_station
-from service.frontend.tasks.task_plan import TaskPlan, cycle_s, plan_with_zoom, sweep_time_s
+from service.frontend.tasks.task_plan import StationEntry, TaskPlan, cycle_s, load_station, plan_with_zoom, sweep_time_s
 from service.frontend.upload.uploader import UploadSettings
 from service.runtime.clock import system_now_us
 

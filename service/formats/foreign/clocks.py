@@ -12,19 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from service.formats.foreign import times
 from service.formats.foreign.table import CODES, ForeignTableError, Question, Table, word_set
-from service.formats.foreign.times import (
-    COUNTS,
-    ISO,
-    SCALES,
-    WEEK,
-    Epochs,
-    TableClock,
-    is_clock_only,
-    read_epochs,
-    regex_of,
-    zone_of,
-)
 from service.records.epoch import DAY_US, EARLIEST_EPOCH_US, LATEST_EPOCH_US, US_PER_S
 
 #: an Excel serial number beyond it, in 2041, is a modified Julian day of 2000
@@ -45,7 +34,7 @@ _COMPACT_FORMATS = ("%Y%m%d", "%Y%j", "%H%M%S")
 _NAMED_DAYS = frozenset({"%Y%m%d", "%Y%j"})
 _SIGNED_DAYS = tuple(each for each in _DAY_FORMATS if each not in _NAMED_DAYS)
 _FULL_FORMATS = (
-    ISO,
+    times.ISO,
     *(f"{day} {clock}" for day in _DAY_FORMATS if day != "%Y-%m-%d" for clock in _CLOCK_FORMATS[:-1]),
     "%Y%m%d %H%M%S",
     "%d/%b/%Y:%H:%M:%S",
@@ -66,12 +55,14 @@ _LOCAL = re.compile(r"\b(local|loc|lt|ortszeit|местное|мест|lokal)\b"
 _OFFSET_IN_NAME = re.compile(r"\b(?:utc|gmt)\s*([+-])\s*(\d{1,2})(?::?(\d{2}))?\b")
 _IANA = re.compile(r"\b([A-Z][A-Za-z]+/[A-Z][A-Za-z_]+)\b")
 _SAMPLE = 300
-_SCALED = {"gps_s": "GPS", WEEK: "GPS"}
+_SCALED = {"gps_s": "GPS", times.WEEK: "GPS"}
 #: longest step of a table whose order of day and month its days prove, and the shortest under another order
 _PROVING_STEP_US, _CONTRADICTING_STEP_US = 6 * 3600 * US_PER_S, 20 * DAY_US
 
 
-def find_clock(table: Table, stated: TableClock, decimal: str) -> tuple[TableClock, list[Question], Epochs | None]:
+def find_clock(
+    table: Table, stated: times.TableClock, decimal: str
+) -> tuple[times.TableClock, list[Question], times.Epochs | None]:
     """Return the clock of a table, what it leaves open, and the epochs that it gives.
 
     Parameters
@@ -89,25 +80,25 @@ def find_clock(table: Table, stated: TableClock, decimal: str) -> tuple[TableClo
         A stated thing that is none, or that the table contradicts.
     """
     questions: list[Question] = []
-    if stated.tz is not None and stated.tz.upper() not in SCALES:
-        zone_of(stated.tz)
+    if stated.tz is not None and stated.tz.upper() not in times.SCALES:
+        times.zone_of(stated.tz)
     found = _with_format(table, _with_columns(table, stated, questions), questions)
     if found.time_format is None:
         return found, questions, None
     texts = _joined(table, found.columns)
-    if found.date is None and is_clock_only(found.time_format):
+    if found.date is None and times.is_clock_only(found.time_format):
         text = f"the times of day, like {texts[0].as_py()!r}, have no date: that of the first row"
         questions.append(Question("date", text))
         return found, questions, None
-    epochs = read_epochs(texts, found, decimal)
+    epochs = times.read_epochs(texts, found, decimal)
     if epochs.is_bad.mean() > 0.5:
         detail = f"time_format {found.time_format!r} does not read the epochs, like {texts[0].as_py()!r}"
         raise ForeignTableError(f"{detail}: {epochs.reasons[0][0]}" if epochs.reasons else detail)
     found = _with_date_and_zone(found, epochs, texts, questions)
-    return found, questions, read_epochs(texts, found, decimal)
+    return found, questions, times.read_epochs(texts, found, decimal)
 
 
-def _with_columns(table: Table, found: TableClock, questions: list[Question]) -> TableClock:
+def _with_columns(table: Table, found: times.TableClock, questions: list[Question]) -> times.TableClock:
     """Return the clock with its columns; several are a question with the first as its guess."""
     if found.columns:
         return found
@@ -119,7 +110,7 @@ def _with_columns(table: Table, found: TableClock, questions: list[Question]) ->
     return replace(found, columns=candidates[0]) if candidates else found
 
 
-def _with_format(table: Table, found: TableClock, questions: list[Question]) -> TableClock:
+def _with_format(table: Table, found: times.TableClock, questions: list[Question]) -> times.TableClock:
     """Return the clock with the format of its epochs; several are a question with the first as its guess."""
     if not found.columns:
         return replace(found, time_format=None)
@@ -131,13 +122,15 @@ def _with_format(table: Table, found: TableClock, questions: list[Question]) -> 
             text = f"day and month may be exchanged: {first}" if formats else f"format of the epochs, like {first}"
             questions.append(Question("time_format", text, tuple(formats), formats[0] if formats else None))
         return replace(found, time_format=formats[0]) if formats else found
-    if found.time_format not in (ISO, WEEK, *COUNTS) and "%" not in found.time_format:
-        known = ", ".join((ISO, *COUNTS, WEEK))
+    if found.time_format not in (times.ISO, times.WEEK, *times.COUNTS) and "%" not in found.time_format:
+        known = ", ".join((times.ISO, *times.COUNTS, times.WEEK))
         raise ForeignTableError(f"time_format {found.time_format[:40]!r}; write {known}, or a pattern: %d.%m.%Y %H:%M")
     return found
 
 
-def _with_date_and_zone(found: TableClock, epochs: Epochs, texts: Any, questions: list[Question]) -> TableClock:
+def _with_date_and_zone(
+    found: times.TableClock, epochs: times.Epochs, texts: Any, questions: list[Question]
+) -> times.TableClock:
     """Return the clock with date and zone; what is not proven joins the questions with a guess."""
     first = texts[0].as_py()
     named, reason = zone_in_names(found.columns)
@@ -155,7 +148,7 @@ def _with_date_and_zone(found: TableClock, epochs: Epochs, texts: Any, questions
             text = f"the name says {reason}, the epochs, like {first!r}, state an offset"
             questions.append(Question("tz", text, ("UTC", named or ""), "UTC"))
         return found
-    if named is not None and named not in SCALES:
+    if named is not None and named not in times.SCALES:
         return replace(found, tz=named)
     text = f"time zone of the epochs: {first!r} has no offset" + (f", the name says {reason}" if reason else "")
     questions.append(Question("tz", text, (), named or "UTC"))
@@ -178,7 +171,7 @@ def zone_in_names(names: Sequence[str]) -> tuple[str | None, str | None]:
         sign, hours, minutes = offset.groups()
         return f"{sign}{int(hours):02d}:{minutes or '00'}", offset.group(0).upper()
     words = set(re.findall(r"[^\W\d]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", joined).casefold().replace("_", " ")))
-    found = [each for each in ("UTC", *SCALES) if each.casefold() in words or f"{each.casefold()}time" in words]
+    found = [each for each in ("UTC", *times.SCALES) if each.casefold() in words or f"{each.casefold()}time" in words]
     found += ["UTC"] if words & {"gmt", "zulu", "utctime"} and "UTC" not in found else []
     if (local := _LOCAL.search(low)) is not None:
         return None, local.group(0)
@@ -256,7 +249,7 @@ def _matching(texts: Sequence[str], time_format: str) -> int:
 @lru_cache(maxsize=512)
 def _pattern(time_format: str) -> re.Pattern[str]:
     """Return the expression of a format for a few texts, which RE2 would be slow to compile for."""
-    return re.compile(regex_of(time_format).replace(r"\pL", r"[^\W\d_]"))
+    return re.compile(times.regex_of(time_format).replace(r"\pL", r"[^\W\d_]"))
 
 
 def _week_columns(header: Sequence[str]) -> tuple[str, ...]:
@@ -281,7 +274,7 @@ def _count_formats(name: str, column: Any) -> list[str]:
     if 2 * len(held) < len(column) or not len(held) or not is_rising:
         return []
     found = []
-    for kind, (unit_us, origin_us) in COUNTS.items():
+    for kind, (unit_us, origin_us) in times.COUNTS.items():
         middle_us = float(np.median(values)) * unit_us + origin_us
         latest_us = _LATEST_SERIAL_US if kind == "excel" else LATEST_EPOCH_US
         if EARLIEST_EPOCH_US <= middle_us < latest_us and (kind != "gps_s" or words & {"gps", "gpst"}):
@@ -296,7 +289,7 @@ def _count_formats(name: str, column: Any) -> list[str]:
 def _formats_of(texts: Any, table: Table, columns: Sequence[str]) -> list[str]:
     """Return the formats that read the most texts; several when day and month may be exchanged."""
     if tuple(columns) == _week_columns(table.header):
-        return [WEEK]
+        return [times.WEEK]
     some = _some(texts).to_pylist()
     tried: list[str] = [each for each in _FULL_FORMATS if _matching(some, each)]
     if len(columns) == 2:
@@ -308,12 +301,12 @@ def _formats_of(texts: Any, table: Table, columns: Sequence[str]) -> list[str]:
         if counted:
             return counted
     read = {
-        each: ~read_epochs(texts, TableClock(tuple(columns), each, "UTC", "2026-01-01"), "point").is_bad
+        each: ~times.read_epochs(texts, times.TableClock(tuple(columns), each, "UTC", "2026-01-01"), "point").is_bad
         for each in tried
     }
     most = max((int(rows.sum()) for rows in read.values()), default=0)
     best = [each for each, rows in read.items() if int(rows.sum()) == most and most > 0]
-    if len(best) > 1 and "%Y-%m-%d %H:%M:%S" in best and ISO in best:
+    if len(best) > 1 and "%Y-%m-%d %H:%M:%S" in best and times.ISO in best:
         best.remove("%Y-%m-%d %H:%M:%S")
     return _proven_by_days(texts, best) if len(best) > 1 else best
 
@@ -322,7 +315,7 @@ def _proven_by_days(texts: Any, formats: list[str]) -> list[str]:
     """Return the only format under which the days follow one another, or all where the table does not show it."""
     smooth, broken = [], []
     for each in formats:
-        epochs = read_epochs(texts, TableClock((), each, "UTC"), "point")
+        epochs = times.read_epochs(texts, times.TableClock((), each, "UTC"), "point")
         us = epochs.us[~epochs.is_bad]
         steps = np.abs(np.diff(us))
         crosses = len(us) > 1 and us[0] // DAY_US != us[-1] // DAY_US

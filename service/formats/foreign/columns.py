@@ -108,7 +108,7 @@ class TableRows:
         """Refuse a table of which too many rows cannot be read: ForeignTableError with the reasons."""
         total = len(self.lines) + len(self.faults)
         if not len(self.lines):
-            others = [f"rows of {', '.join(self.other_sources)}: see --from-source"] if self.other_sources else []
+            others = [f"rows of {', '.join(self.other_sources)}: state from_source"] if self.other_sources else []
             raise ForeignTableError(f"no row can be read: {'; '.join([*others, *grouped(self.faults)][:3])}")
         if len(self.faults) > max(MOST_ROWS, MOST_SHARE * total) and not is_partial:
             raise ForeignTableError(

@@ -85,7 +85,7 @@ class ForeignTableError(ValueError):
 class Question(NamedTuple):
     """One thing that a person must state, because no content proves it."""
 
-    #: field of the manifest; with dashes the option of ``soo put``
+    #: field of the manifest
     field: str
     text: str
     #: what may be answered; empty = free text

@@ -8,24 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.core.arrays import BoolArray, FloatArray
-from service.core.radio.carrier_power import (
-    BandWeights,
-    CarrierBands,
-    CarrierPower,
-    TraceGrid,
-    hide_absent,
-    leakage,
-    leaked_ratio,
-    measure_carriers,
-    weigh_bands,
-)
+from service.core.radio import carrier_power
 from service.core.radio.levels import initial_presence, mw_from_dbm, step_presence
 from service.frontend.drivers.dialects import SweepRefusedError
 from service.frontend.drivers.scpi_driver import ScpiDriver
 from service.frontend.measurement_task import CarrierPart, InputPart, MeasurementTask, SweepPart
 from service.frontend.tasks.task_plan import recheck
-from service.records.levels.measurement import QualityFlag
-from service.records.levels.sweep import Sweep, SweepSettings
+from service.records.levels.measurement import QualityFlag, Sweep, SweepSettings
 
 #: what leaks from neighbours above this part of the carrier's power is flagged: 0.1 dB
 LEAK_LIMIT = 10.0**0.01 - 1.0
@@ -79,46 +68,46 @@ class SweepEvaluation:
         self._rolloff = np.array([carrier.rolloff for carrier in carriers])
         self._presence = initial_presence(len(carriers))
         self._settings: SweepSettings | None = None
-        self._weights: BandWeights | None = None
+        self._weights: carrier_power.BandWeights | None = None
         self._share: FloatArray = np.zeros((len(carriers), len(carriers)))
         self._is_close: BoolArray = np.zeros((len(carriers), len(carriers)), dtype=np.bool_)
 
-    def evaluate(self, sweep: Sweep) -> tuple[CarrierPower, NDArray[np.int64]]:
+    def evaluate(self, sweep: Sweep) -> tuple[carrier_power.CarrierPower, NDArray[np.int64]]:
         """Return the powers of one sweep at the test point, absent ones hidden, and their flags."""
         weights = self._weights_of(sweep.settings)
-        power = measure_carriers(sweep.power_mw, weights)
+        power = carrier_power.measure_carriers(sweep.power_mw, weights)
         ratio_db = np.where(sweep.is_stale, np.nan, power.presence_ratio_db)
         self._presence, is_visible = step_presence(self._presence, ratio_db, power.presence_threshold_db)
         is_visible = is_visible & ~np.isnan(power.power_dbm)
         flags = self._flags(power, weights.bands, is_visible) | _sweep_flags(sweep)
         at_test_point = power._replace(power_dbm=power.power_dbm + self._offset_db)
-        return hide_absent(at_test_point, is_visible), flags
+        return carrier_power.hide_absent(at_test_point, is_visible), flags
 
-    def centroid_offset_hz(self, power: CarrierPower) -> FloatArray:
+    def centroid_offset_hz(self, power: carrier_power.CarrierPower) -> FloatArray:
         """Return how far the carriers of the sweep evaluated last lie from where the task has them, Hz."""
         return np.asarray(power.centroid_hz - self._center_hz - self._path.freq_offset_hz, dtype=np.float64)
 
-    def _weights_of(self, settings: SweepSettings) -> BandWeights:
+    def _weights_of(self, settings: SweepSettings) -> carrier_power.BandWeights:
         """Return the weights of these settings, made again when the analyzer states others."""
         if self._weights is None or settings != self._settings:
             bands = self._bands(settings)
-            grid = TraceGrid(
+            grid = carrier_power.TraceGrid(
                 settings.start_hz,
                 settings.step_hz,
                 settings.points,
                 settings.enbw_hz,
                 settings.sweep_time_s * settings.count,
             )
-            self._weights = weigh_bands(grid, bands)
-            self._share = leakage(bands, self._rolloff, settings.rbw_hz)
+            self._weights = carrier_power.weigh_bands(grid, bands)
+            self._share = carrier_power.leakage(bands, self._rolloff, settings.rbw_hz)
             self._is_close = _are_close(bands, self._occupied_hz, settings.rbw_hz)
             self._settings = settings
         return self._weights
 
-    def _bands(self, settings: SweepSettings) -> CarrierBands:
+    def _bands(self, settings: SweepSettings) -> carrier_power.CarrierBands:
         """Return the carriers' bands in the analyzer's frequencies."""
         shift_hz = self._path.freq_offset_hz
-        return CarrierBands(
+        return carrier_power.CarrierBands(
             self._center_hz + shift_hz,
             np.array([c.integ_bw_hz for c in self._carriers]),
             np.array([c.symbol_rate or settings.rbw_hz for c in self._carriers]),
@@ -126,10 +115,12 @@ class SweepEvaluation:
             tuple(tuple((low + shift_hz, high + shift_hz) for low, high in c.noise) for c in self._carriers),
         )
 
-    def _flags(self, power: CarrierPower, bands: CarrierBands, is_visible: BoolArray) -> NDArray[np.int64]:
+    def _flags(
+        self, power: carrier_power.CarrierPower, bands: carrier_power.CarrierBands, is_visible: BoolArray
+    ) -> NDArray[np.int64]:
         """Return the quality flags that follow from the powers themselves."""
         power_mw = mw_from_dbm(np.where(is_visible, power.power_dbm, np.nan))
-        leak = leaked_ratio(self._share, power_mw)
+        leak = carrier_power.leaked_ratio(self._share, power_mw)
         offset = np.abs(power.centroid_hz - bands.center_hz) / bands.symbol_rate_hz
         is_trusted = is_visible & (power.c_n_db >= LOW_C_N_DB)
         floor_dbm_hz = np.inf if self._path.danl_dbm_hz is None else self._path.danl_dbm_hz + DANL_MARGIN_DB
@@ -224,7 +215,7 @@ def level_offset_db(path: InputPart, frequency_hz: FloatArray) -> FloatArray:
     return np.full(frequency_hz.shape, table)
 
 
-def _are_close(bands: CarrierBands, occupied_hz: FloatArray, rbw_hz: float) -> BoolArray:
+def _are_close(bands: carrier_power.CarrierBands, occupied_hz: FloatArray, rbw_hz: float) -> BoolArray:
     """Return which carriers have their edges within two resolution bandwidths of one another, shape (N, N)."""
     away_hz = np.abs(bands.center_hz[:, np.newaxis] - bands.center_hz)
     gap_hz = away_hz - (occupied_hz[:, np.newaxis] + occupied_hz) / 2.0
@@ -247,7 +238,7 @@ def _sweep_flags(sweep: Sweep) -> int:
     return int(flags)
 
 
-logger = logging.getLogger("service.frontend.acquisition.acquisition")
+logger = logging.getLogger("service.frontend.station")
 
 #: what says of a level that it was not looked for, or not in a fresh trace of numbers
 _NOT_GOOD = QualityFlag.NOT_MEASURED | QualityFlag.STALE_TRACE | QualityFlag.NONFINITE_VALUE

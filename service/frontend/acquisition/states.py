@@ -75,42 +75,6 @@ TRANSITIONS: dict[AcquisitionState, dict[AcquisitionEvent, AcquisitionState]] = 
 }
 
 
-def diagram() -> str:
-    """Return the table as a Mermaid state diagram; what stays in its state is left out, but for measuring."""
-    lines = ["stateDiagram-v2", "    [*] --> CONNECT"]
-    for state, row in TRANSITIONS.items():
-        targets: dict[AcquisitionState, list[str]] = {}
-        for event, target in row.items():
-            if target is not state or (state is AcquisitionState.MEASURE and event is AcquisitionEvent.OK):
-                targets.setdefault(target, []).append(event.name)
-        lines += [f"    {state.name} --> {target.name}: {', '.join(events)}" for target, events in targets.items()]
-    return "\n".join(lines)
-
-
-def reference_page() -> str:
-    """Return the page of the reference (Markdown)."""
-    head = "| state | " + " | ".join(event.name for event in AcquisitionEvent) + " |"
-    rule = "|---|" + "---|" * len(AcquisitionEvent)
-    rows = [
-        f"| {state.name} | " + " | ".join(TRANSITIONS[state][event].name for event in AcquisitionEvent) + " |"
-        for state in AcquisitionState
-    ]
-    actions = [f"| {state.name} | {action} |" for state, action in ACTIONS.items()]
-    meanings = [f"| {event.name} | {meaning} |" for event, meaning in MEANINGS.items()]
-    parts = [
-        "# States of an acquisition",
-        "Printed by `soo acquire --states` from the table that the code runs by,\n"
-        "`service/frontend/acquisition/states.py`. `tests/docs/test_how_to.py` holds page and table equal.",
-        "```mermaid\n" + diagram() + "\n```",
-        "\n".join(["| state | action |", "|---|---|", *actions]),
-        "\n".join([head, rule, *rows]),
-        "\n".join(["| event | meaning |", "|---|---|", *meanings]),
-        "A stop is looked at between actions: the cycle in hand is finished and its row handed over. A thread that\n"
-        "hangs beyond every bound of its action is shown as STUCK in the report of the link, and its line is cut.",
-    ]
-    return "\n\n".join(parts) + "\n"
-
-
 #: an order is noticed within this time, s
 _POLL_S = 0.2
 

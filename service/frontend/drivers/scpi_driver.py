@@ -22,26 +22,14 @@ from dataclasses import replace
 import numpy as np
 
 from service.core.radio.levels import mw_from_dbm
+from service.frontend.drivers import scpi
 from service.frontend.drivers.dialects import ASCII, SINGLE, Dialect, Features, SweepRefusedError, TraceFormat, Word
 from service.frontend.drivers.dialogue import Dialogue
-from service.frontend.drivers.scpi import (
-    AnalyzerMessage,
-    AnswerError,
-    Identity,
-    is_message,
-    levels_of_block,
-    levels_of_text,
-    parse_date_time,
-    parse_flag,
-    parse_message,
-    parse_number,
-    split_answers,
-)
 from service.frontend.drivers.visa_session import AnalyzerIOError, VisaSession
 from service.frontend.measurement_task import InputPart, SweepPart
 from service.records.epoch import US_PER_S, parse_epoch
 from service.records.levels.attitude import FloatArray
-from service.records.levels.sweep import SWEEP_FLAGS, Sweep, SweepSettings
+from service.records.levels.measurement import SWEEP_FLAGS, Sweep, SweepSettings
 
 #: deviation of an edge, in spans, that counts as "not what was asked for"
 SETTING_TOLERANCE = 1e-3
@@ -169,7 +157,7 @@ class Configuration:
             # Replaced, not merged: a sweep with coupled time forgets the time of the one before.
             self._sent = wanted
         *self._stated, newest = self._dialogue.ask([*self.readback, ":SYST:ERR?"])
-        self._dialogue.raise_on_errors("settings", parse_message(newest))
+        self._dialogue.raise_on_errors("settings", scpi.parse_message(newest))
         settings = self._settings(sweep)
         reported = dict(zip(self.readback, self._stated, strict=True))
         self.is_mismatch = (
@@ -195,13 +183,13 @@ class Configuration:
     def _settings(self, sweep: SweepPart) -> SweepSettings:
         """Return the settings that the analyzer stated last."""
         stated = [
-            parse_number(*pair) for pair in zip(self._stated, self.readback[: 5 + self._has_points], strict=False)
+            scpi.parse_number(*pair) for pair in zip(self._stated, self.readback[: 5 + self._has_points], strict=False)
         ]
         start_hz, stop_hz, rbw_hz, vbw_hz, time_s = stated[:5]
         points = stated[5] if self._has_points else float(self._dialect.fixed_points or sweep.points)
         if not (stop_hz > start_hz and rbw_hz > 0.0 and vbw_hz > 0.0 and time_s > 0.0 and 1.0 < points < math.inf):
             message = f"settings {self._stated[:6]} make no sweep"
-            raise AnswerError(message)
+            raise scpi.AnswerError(message)
         return SweepSettings(
             start_hz,
             stop_hz,
@@ -270,8 +258,8 @@ class Configuration:
 def _level_stands(answer: str, wanted: str) -> bool:
     """Return whether a setting of the input was taken."""
     if wanted in {"ON", "OFF"}:
-        return parse_flag(answer) == (wanted == "ON")
-    return abs(parse_number(answer) - float(wanted)) <= LEVEL_TOLERANCE_DB
+        return scpi.parse_flag(answer) == (wanted == "ON")
+    return abs(scpi.parse_number(answer) - float(wanted)) <= LEVEL_TOLERANCE_DB
 
 
 #: what an analyzer sends that has no trace yet
@@ -306,12 +294,12 @@ class TraceReader:
         """Return the trace as it came, and the answers to further queries, the last one the error queue's."""
         joined = further if self._dialogue.is_joining else []
         payload, line = self._dialogue.session.query_block(";".join([self._dialect.trace_query, *joined]))
-        answers = split_answers(line)
+        answers = scpi.split_answers(line)
         if not self._dialogue.is_joining:
             answers += self._dialogue.ask(further)
         if len(answers) != 1 + len(further):
-            if is_message(answers[-1]):
-                self._dialogue.raise_on_errors("the trace", parse_message(answers[-1]))
+            if scpi.is_message(answers[-1]):
+                self._dialogue.raise_on_errors("the trace", scpi.parse_message(answers[-1]))
             message = f"{self._dialect.trace_query} and {';'.join(further)}"
             reason = f"{len(answers)} answers to {1 + len(further)} queries {message}: {line[-120:]!r}"
             raise AnalyzerIOError(f"{self._dialogue.session.resource} gave {reason}")
@@ -340,7 +328,7 @@ class TraceReader:
         if len(trace) == 8 * points or len(trace) % 4:
             # Doubles, or something that is no floats at all: the analyzer did not mean the format that it took.
             return self._again_as_text(points)
-        return levels_of_block(trace, points, is_big_endian=wanted.is_big_endian)
+        return scpi.levels_of_block(trace, points, is_big_endian=wanted.is_big_endian)
 
     def _again_as_text(self, points: int) -> FloatArray:
         """Ask for the same trace as text, from now on."""
@@ -352,7 +340,7 @@ class TraceReader:
         """Return the levels of text; its own number of them where the analyzer states none, or a wrong one as known."""
         own = len(text.strip().strip(",").split(","))
         is_own = own == self._dialect.fixed_points or (not self._configuration.has_points and own >= FEWEST_POINTS)
-        return levels_of_text(text, own if is_own else points)
+        return scpi.levels_of_text(text, own if is_own else points)
 
 
 def _require_dbm(levels: FloatArray) -> None:
@@ -360,7 +348,7 @@ def _require_dbm(levels: FloatArray) -> None:
     present = levels[np.isfinite(levels)]
     if present.size and (present.max() > _MOST_DBM or np.abs(present).max() < _FLAT_DB):
         message = f"levels from {present.min():g} to {present.max():g} are not in dBm"
-        raise AnswerError(message)
+        raise scpi.AnswerError(message)
 
 
 #: a reset may take this long, s
@@ -395,7 +383,7 @@ class ScpiDriver:
     def __init__(
         self,
         session: VisaSession,
-        identity: Identity,
+        identity: scpi.Identity,
         dialect: Dialect,
         now_us: Callable[[], int],
         *,
@@ -422,7 +410,7 @@ class ScpiDriver:
         self._previous: dict[str, tuple[bytes | str, int]] = {}
 
     @property
-    def analyzer_messages(self) -> list[AnalyzerMessage]:
+    def analyzer_messages(self) -> list[scpi.AnalyzerMessage]:
         """Errors of the analyzer that did not spoil a sweep, oldest first; the caller empties it."""
         return self._dialogue.analyzer_messages
 
@@ -525,10 +513,10 @@ class ScpiDriver:
         system_us = self._sweep(settings)
         readback = self._configuration.readback
         trace, answers = self._traces.read([*self._after_trace(), *readback, ":SYST:ERR?"])
-        self._dialogue.raise_on_errors(f"sweep {sweep_id}", parse_message(answers.pop()))
+        self._dialogue.raise_on_errors(f"sweep {sweep_id}", scpi.parse_message(answers.pop()))
         stated = [answers.pop() for _ in readback][::-1]
         is_unchanged = self._configuration.is_unchanged(stated)
-        condition = int(parse_number(answers.pop(0), ":STAT:QUES:COND?")) if self.features.has_status else 0
+        condition = int(scpi.parse_number(answers.pop(0), ":STAT:QUES:COND?")) if self.features.has_status else 0
         epoch_us = self._epoch_us(answers, settings, system_us)
         # What was swept under foreign settings may not even be read: it has another unit, or other points.
         levels = self._traces.levels(trace, settings.points) if is_unchanged else np.full(settings.points, np.nan)
@@ -588,5 +576,5 @@ class ScpiDriver:
             return system_us
         if self.features.has_dwell_epoch:
             return parse_epoch(answers[0].strip("\"'"))
-        end_us = parse_epoch(parse_date_time(answers[0], answers[1]))
+        end_us = parse_epoch(scpi.parse_date_time(answers[0], answers[1]))
         return end_us - round(settings.sweep_time_s * US_PER_S / 2)

@@ -12,24 +12,15 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import NamedTuple
 
+from service.frontend.spool import row as spool_row
 from service.frontend.spool.file import Owner, SpoolFile, WaitingRow
-from service.frontend.spool.row import (
-    ARRAYS,
-    SpoolDamagedError,
-    SpooledTask,
-    SpoolError,
-    decode_row,
-    is_damage,
-    leaves_connection_good,
-    primary_code,
-)
 from service.records.epoch import format_epoch
 
 #: numbers given between two writes of the mark
 MARK_STEP = 1000
 
 
-class SpoolInUseError(SpoolError):
+class SpoolInUseError(spool_row.SpoolError):
     """Another process owns the spool."""
 
 
@@ -91,7 +82,7 @@ class SpoolLock:
 
 #: what SQLite keeps beside a file
 _COMPANIONS = ("", "-wal", "-shm")
-_COLUMNS = f"seq, epoch_us, task_key, kept_at_us, {', '.join(ARRAYS)}"
+_COLUMNS = f"seq, epoch_us, task_key, kept_at_us, {', '.join(spool_row.ARRAYS)}"
 
 
 def set_aside(path: Path, now_us: int) -> Path:
@@ -132,7 +123,7 @@ class DamagedSpool:
         """Yield the rows that can be read, with their numbers: upwards until the damage, then downwards to it."""
         try:
             tasks = {
-                key: SpooledTask(sha256, tuple(json.loads(ids)))
+                key: spool_row.SpooledTask(sha256, tuple(json.loads(ids)))
                 for key, sha256, ids in self._connection.execute("SELECT task_key, sha256, carrier_ids FROM task")
             }
         except (sqlite3.Error, ValueError, TypeError):
@@ -146,13 +137,13 @@ class DamagedSpool:
                 return
             yield seq, row
 
-    def _read(self, order: str, tasks: dict[int, SpooledTask]) -> Iterator[tuple[int, WaitingRow]]:
+    def _read(self, order: str, tasks: dict[int, spool_row.SpooledTask]) -> Iterator[tuple[int, WaitingRow]]:
         """Yield rows in an order until the file cannot be read any further; rows that make no sense are left out."""
         with suppress(sqlite3.Error):
             query = f"SELECT {_COLUMNS} FROM measured {order}"  # noqa: S608 own text
             for seq, epoch_us, task_key, kept_at_us, *blobs in self._connection.execute(query):
                 with suppress(KeyError, ValueError, TypeError):
-                    decode_row(int(epoch_us), blobs)
+                    spool_row.decode_row(int(epoch_us), blobs)
                     yield int(seq), WaitingRow(int(epoch_us), tasks[task_key], int(kept_at_us), tuple(blobs))
 
 
@@ -204,7 +195,7 @@ class WarningBoard:
 
 
 #: what may come of any use of the disk
-DISK_FAULTS = (sqlite3.Error, OSError, SpoolError)
+DISK_FAULTS = (sqlite3.Error, OSError, spool_row.SpoolError)
 _NO_ROOM = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 
 
@@ -270,7 +261,7 @@ class SpoolDisk:
                 return True
         code = DISK_FULL if _is_no_room(error) else UNWRITABLE
         self._board.put_up(code, f"{self._path}: {error}; {consequence}", self._now_us())
-        if not (isinstance(error, sqlite3.Error) and leaves_connection_good(error)):
+        if not (isinstance(error, sqlite3.Error) and spool_row.leaves_connection_good(error)):
             self._drop_file()
         return False
 
@@ -293,7 +284,7 @@ class SpoolDisk:
         """Open the file; a spoiled one is set aside."""
         try:
             return SpoolFile(self._path, self._owner)
-        except (SpoolDamagedError, sqlite3.Error) as error:
+        except (spool_row.SpoolDamagedError, sqlite3.Error) as error:
             if not _is_spoiled(error):
                 raise
             return self._start_over(str(error), None)
@@ -331,11 +322,13 @@ class SpoolDisk:
 
 def _is_spoiled(error: Exception) -> bool:
     """Return whether an error means that the file is damaged."""
-    return isinstance(error, SpoolDamagedError) or (isinstance(error, sqlite3.Error) and is_damage(error))
+    return isinstance(error, spool_row.SpoolDamagedError) or (
+        isinstance(error, sqlite3.Error) and spool_row.is_damage(error)
+    )
 
 
 def _is_no_room(error: Exception) -> bool:
     """Return whether an error means that the disk is full."""
     if isinstance(error, sqlite3.Error):
-        return primary_code(error) == sqlite3.SQLITE_FULL
+        return spool_row.primary_code(error) == sqlite3.SQLITE_FULL
     return isinstance(error, OSError) and error.errno in _NO_ROOM

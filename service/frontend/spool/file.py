@@ -12,24 +12,11 @@ from enum import Enum
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from service.frontend.spool.row import (
-    ARRAYS,
-    SpoolDamagedError,
-    SpooledRow,
-    SpooledTask,
-    SpoolFileError,
-    TraceRing,
-    check,
-    connect,
-    decode_row,
-    prepare,
-    size_of,
-    transaction,
-)
+from service.frontend.spool import row as spool_row
 from service.records.epoch import US_PER_S
 
-_ARRAYS = ", ".join(ARRAYS)
-_MARKS = ", ".join("?" * len(ARRAYS))
+_ARRAYS = ", ".join(spool_row.ARRAYS)
+_MARKS = ", ".join("?" * len(spool_row.ARRAYS))
 _INSERT_ROW = (
     f"INSERT INTO measured (seq, epoch_us, task_key, kept_at_us, size_bytes, {_ARRAYS}) "  # noqa: S608 own names
     f"VALUES (?, ?, ?, ?, ?, {_MARKS})"
@@ -66,7 +53,7 @@ class WaitingRow(NamedTuple):
     """A row on its way into the file."""
 
     epoch_us: int
-    task: SpooledTask
+    task: spool_row.SpooledTask
     kept_at_us: int
     #: in the order of `ARRAYS`
     blobs: tuple[bytes, ...]
@@ -113,17 +100,17 @@ class SpoolFile:
     """
 
     def __init__(self, path: Path, owner: Owner) -> None:
-        self.connection = connect(path)
+        self.connection = spool_row.connect(path)
         try:
-            check(self.connection)
-            prepare(self.connection, path)
+            spool_row.check(self.connection)
+            spool_row.prepare(self.connection, path)
             self._claim(path, owner)
             self._tasks = {
-                key: SpooledTask(sha256, tuple(json.loads(ids)))
+                key: spool_row.SpooledTask(sha256, tuple(json.loads(ids)))
                 for key, sha256, ids in self.connection.execute("SELECT task_key, sha256, carrier_ids FROM task")
             }
             self.waiting, self.rows_bytes = self._one("SELECT count(*), coalesce(sum(size_bytes), 0) FROM measured")
-            self.traces = TraceRing(self.connection)
+            self.traces = spool_row.TraceRing(self.connection)
         except BaseException:
             self.connection.close()
             raise
@@ -177,28 +164,28 @@ class SpoolFile:
         with self._atomic():
             self.number_from(self.last_seq + given_up)
             self.count("dropped_memory", given_up)
-            dropped = self._make_room(sum(size_of(row.blobs) for row in rows), bounds, now_us, in_flight)
+            dropped = self._make_room(sum(spool_row.size_of(row.blobs) for row in rows), bounds, now_us, in_flight)
             for row in rows:
                 self._insert(row)
             for trace in traces:
                 self.count("traces_dropped", self.traces.insert(trace, bounds.traces, bounds.traces_bytes))
         return dropped
 
-    def batch(self, lane: UploadLane, cutoff_us: int, limit: int) -> list[SpooledRow]:
+    def batch(self, lane: UploadLane, cutoff_us: int, limit: int) -> list[spool_row.SpooledRow]:
         """Return the oldest rows of a lane, of one task and without a gap in their numbers; they stay in the file."""
         first = self.connection.execute(
             f"SELECT seq FROM measured WHERE epoch_us {lane.value} ? "  # noqa: S608 one of two signs
             "AND epoch_us NOT IN (SELECT epoch_us FROM gone) ORDER BY epoch_us LIMIT 1",
             (cutoff_us,),
         ).fetchone()
-        rows: list[SpooledRow] = []
+        rows: list[spool_row.SpooledRow] = []
         if first is None:
             return rows
         for seq, epoch_us, task_key, *blobs in self.connection.execute(_SELECT_ROWS, (first[0], limit)):
             task, is_live = self._tasks[task_key], epoch_us >= cutoff_us
             if is_live != (lane is UploadLane.LIVE) or (rows and (seq != first[0] + len(rows) or task != rows[0].task)):
                 break
-            rows.append(SpooledRow(seq, task, _decoded(epoch_us, blobs)))
+            rows.append(spool_row.SpooledRow(seq, task, _decoded(epoch_us, blobs)))
         return rows
 
     def settle(self, epochs_us: Iterable[int], refused: Sequence[RefusedRow], bounds: Bounds, now_us: int) -> None:
@@ -232,13 +219,13 @@ class SpoolFile:
         with self._atomic():
             self.traces.delete(keys)
 
-    def plan_of(self, task: SpooledTask) -> int | None:
+    def plan_of(self, task: spool_row.SpooledTask) -> int | None:
         """Return the carrier plan under which rows of a task were last sent."""
         query = "SELECT plan_id FROM task WHERE task_key = ?"
         found = [key for key, known in self._tasks.items() if known == task]
         return next((row[0] for key in found for row in self.connection.execute(query, (key,))), None)
 
-    def keep_plan(self, task: SpooledTask, plan_id: int) -> None:
+    def keep_plan(self, task: spool_row.SpooledTask, plan_id: int) -> None:
         """Keep the carrier plan under which rows of a task are sent from now on."""
         with self._atomic():
             query = "UPDATE task SET plan_id = ? WHERE task_key = ?"
@@ -277,7 +264,7 @@ class SpoolFile:
         """Write one row, unless its epoch is there."""
         if self.connection.execute("SELECT 1 FROM measured WHERE epoch_us = ?", (row.epoch_us,)).fetchone():
             return
-        size_bytes = size_of(row.blobs)
+        size_bytes = spool_row.size_of(row.blobs)
         columns = (seq, row.epoch_us, self._task_key(row.task), row.kept_at_us, size_bytes)
         self.connection.execute(_INSERT_ROW, (*columns, *row.blobs))
         self.waiting, self.rows_bytes = self.waiting + 1, self.rows_bytes + size_bytes
@@ -310,7 +297,7 @@ class SpoolFile:
             yield from chunk
             after, limit = chunk[-1][0], _CHUNK
 
-    def _task_key(self, task: SpooledTask) -> int:
+    def _task_key(self, task: spool_row.SpooledTask) -> int:
         """Return the key of a task, written at its first row."""
         found = next((key for key, known in self._tasks.items() if known == task), None)
         if found is None:
@@ -327,18 +314,18 @@ class SpoolFile:
         """Write whose file this is, or refuse another one's."""
         holder = self.connection.execute("SELECT spacecraft_id, source FROM owner").fetchone()
         if holder is None:
-            with transaction(self.connection):
+            with spool_row.transaction(self.connection):
                 self.connection.execute("INSERT INTO owner VALUES (?, ?)", owner)
         elif Owner(*holder) != owner:
             message = f"spool {path} holds rows of {holder[0]}, source {holder[1]}; name another file"
-            raise SpoolFileError(message)
+            raise spool_row.SpoolFileError(message)
 
     @contextmanager
     def _atomic(self) -> Iterator[None]:
         """Commit what is done inside, or nothing, what this object knows of the file included."""
         before = (self.waiting, self.rows_bytes, dict(self._tasks))
         try:
-            with transaction(self.connection):
+            with spool_row.transaction(self.connection):
                 yield
         except BaseException:
             self.waiting, self.rows_bytes, self._tasks = before
@@ -355,6 +342,6 @@ class SpoolFile:
 def _decoded(epoch_us: int, blobs: Sequence[bytes]) -> Any:
     """Return the arrays of a row; bytes that are no arrays are damage."""
     try:
-        return decode_row(epoch_us, blobs)
+        return spool_row.decode_row(epoch_us, blobs)
     except ValueError as error:
-        raise SpoolDamagedError(str(error)) from error
+        raise spool_row.SpoolDamagedError(str(error)) from error

@@ -12,7 +12,7 @@ import numpy as np
 
 from service.core.radio.levels import dbm_from_mw
 from service.frontend.acquisition.evaluation import MeasuredRow
-from service.records.levels.sweep import Sweep
+from service.records.levels.measurement import Sweep
 
 #: array of a row -> how its numbers are written; the names are those of the columns
 ARRAYS = {

@@ -27,7 +27,7 @@ from service.frontend.spool.row import (
     encode_row,
     trace_of,
 )
-from service.records.levels.sweep import Sweep
+from service.records.levels.measurement import Sweep
 
 T = TypeVar("T")
 

@@ -29,15 +29,7 @@ from service.frontend.spool.disk import SpoolWarning
 from service.frontend.spool.file import UploadLane
 from service.frontend.spool.row import SpooledRow, SpooledTask, SpooledTrace
 from service.frontend.spool.spool import Spool
-from service.frontend.upload.plan_binding import (
-    BatchAction,
-    LaneRotation,
-    PlanBinding,
-    PlanMismatchError,
-    find_binding,
-    judge,
-    read_receipt,
-)
+from service.frontend.upload import plan_binding
 from service.records.epoch import US_PER_S, format_epoch
 
 #: a service that did not know traces is asked again after this time, s
@@ -242,12 +234,12 @@ class Uploader:
         self._spool = spool
         self._now_us = now_us
         self._backoff = backoff or Backoff()
-        self._turns = LaneRotation()
+        self._turns = plan_binding.LaneRotation()
         self._traces = TraceSender(client, settings.spacecraft_id, settings.source, spool, settings.batch_traces)
         self._batch_rows = settings.batch_rows
         #: rows of the next request, when a row at fault stands behind them
         self._part: int | None = None
-        self._bindings: dict[tuple[str, ...], PlanBinding] = {}
+        self._bindings: dict[tuple[str, ...], plan_binding.PlanBinding] = {}
         self._details_from_s = float("-inf")
         #: epochs of waiting rows that were sent without the figures beside the powers
         self._bare: set[int] = set()
@@ -322,7 +314,7 @@ class Uploader:
             reply = self._post(lane, rows, binding)
         except ServiceUnavailableError as error:
             self._fail(f"service does not answer: {error}", error.retry_after_s)
-        except PlanMismatchError as error:
+        except plan_binding.PlanMismatchError as error:
             self._turns.served(lane)  # rows of another task may wait in the other lane
             self._fail(f"no carrier plan of {self._settings.spacecraft_id}: {error}", None)
         except ProblemError as problem:
@@ -330,7 +322,7 @@ class Uploader:
         else:
             self._settle(reply, lane, rows)
 
-    def _post(self, lane: UploadLane, rows: Sequence[SpooledRow], binding: PlanBinding) -> Any:
+    def _post(self, lane: UploadLane, rows: Sequence[SpooledRow], binding: plan_binding.PlanBinding) -> Any:
         """Send rows and return the answer."""
         self._sent_at_s = time.monotonic()
         self.counters.requests += 1
@@ -347,7 +339,7 @@ class Uploader:
 
     def _settle(self, reply: Any, lane: UploadLane, rows: list[SpooledRow]) -> None:
         """Count what the service says and let the rows go, if it accounts for all of them."""
-        receipt = read_receipt(reply, len(rows))
+        receipt = plan_binding.read_receipt(reply, len(rows))
         if receipt is None:
             self._fail(f"answer does not account for {len(rows)} rows: {str(reply)[:200]}", None)
             return
@@ -373,37 +365,37 @@ class Uploader:
 
     def _face(self, problem: ProblemError, lane: UploadLane, rows: list[SpooledRow]) -> None:
         """Act on a batch that was refused as a whole."""
-        verdict, position = judge(problem, len(rows))
-        if verdict is BatchAction.SHORTER:
+        verdict, position = plan_binding.judge(problem, len(rows))
+        if verdict is plan_binding.BatchAction.SHORTER:
             self._batch_rows = max(1, len(rows) // 2)
             logger.warning(
                 "the service refuses %d rows in one request as too long; %d rows a request from now on",
                 len(rows),
                 self._batch_rows,
             )
-        elif verdict is BatchAction.WITHOUT_DETAILS and self._sent_at_s >= self._details_from_s:
+        elif verdict is plan_binding.BatchAction.WITHOUT_DETAILS and self._sent_at_s >= self._details_from_s:
             self._details_from_s = self._sent_at_s + _DETAILS_AGAIN_S
             logger.warning(
                 "the service does not accept details beside the powers (%s): rows are sent without them", problem
             )
-        elif verdict is BatchAction.PARTED and position > 0:
+        elif verdict is plan_binding.BatchAction.PARTED and position > 0:
             self._part = position  # a batch has one first_seq and no holes
-        elif verdict is BatchAction.PARTED:
+        elif verdict is plan_binding.BatchAction.PARTED:
             self._let_go(lane, rows[:1], {0: (problem.code, problem.detail)})
         else:
-            if verdict is BatchAction.NEW_PLAN:
+            if verdict is plan_binding.BatchAction.NEW_PLAN:
                 self._is_resuming = False
                 self._bindings.clear()
             if problem.status == _FORBIDDEN and self.counters.not_accepted is None:
                 self.counters.not_accepted = SpoolWarning("upload.not_accepted", str(problem), self._now_us())
             self._fail(f"service refuses the batch: {problem}", None)
 
-    def _binding(self, task: SpooledTask) -> PlanBinding:
+    def _binding(self, task: SpooledTask) -> plan_binding.PlanBinding:
         """Return the plan under which rows of a task go, fetched once."""
         task_ids = task.carrier_ids
         if task_ids not in self._bindings:
             kept = self._spool.plan_of(task) if self._is_resuming else None
-            binding = find_binding(self._client, self._settings.spacecraft_id, task_ids, kept)
+            binding = plan_binding.find_binding(self._client, self._settings.spacecraft_id, task_ids, kept)
             if binding.plan_id != kept:
                 self._spool.keep_plan(task, binding.plan_id)
             self._bindings[task_ids] = binding
@@ -443,7 +435,7 @@ class Uploader:
         self._backoff.reset()
 
 
-def _log_binding(binding: PlanBinding) -> None:
+def _log_binding(binding: plan_binding.PlanBinding) -> None:
     """Log the plan in use and the carriers missing on either side."""
     logger.info("rows are sent by carrier plan %d with %d carriers", binding.plan_id, binding.positions.size)
     if binding.unknown:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from service.pipeline.alarms import states as steps
-from service.pipeline.alarms.limit_sets import AlarmContext, limits_in_force
+from service.pipeline.alarms.conditions import AlarmContext, limits_in_force
 from service.pipeline.alarms.states import (
     AlarmCondition,
     AlarmEvent,

@@ -17,7 +17,7 @@ from typing import Self
 import numpy as np
 
 from service.pipeline.alarms.alarm_engine import AlarmEngine, Explanation, Key, Readings
-from service.pipeline.alarms.limit_sets import AlarmContext, context
+from service.pipeline.alarms.conditions import AlarmContext, context
 from service.pipeline.estimation.method import CarrierLevels, RowEvidence
 from service.pipeline.estimation.robust.attitude_rows import MOTION_ADVICE
 from service.records.catalogue import CarrierPlan

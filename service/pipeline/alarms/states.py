@@ -112,44 +112,6 @@ def next_cover(cover: Cover, event: CoverEvent) -> Cover:
     return COVERS[cover][event]
 
 
-def diagram() -> str:
-    """Return both tables as a Mermaid state diagram; what stays in its state is left out."""
-    lines = ["stateDiagram-v2", "    [*] --> normal"]
-    for state, row in PROCESS.items():
-        lines += _arrows(state.value, {event.name: target.value for event, target in row.items()})
-    for state in Process:
-        ends = [
-            event for event in AlarmEvent if next_process(state, event, is_latching=True) is not PROCESS[state][event]
-        ]
-        names = ", ".join(event.name for event in ends)
-        lines += [f"    {state.value} --> {Process.LATCHED.value}: {names} (where it latches)"] if names else []
-    lines.append("    state cover {")
-    for cover, covered in COVERS.items():
-        arrows = _arrows(cover.value, {event.name: target.value for event, target in covered.items()})
-        lines += [f"    {line}" for line in arrows]
-    return "\n".join([*lines, "    }"])
-
-
-def _arrows(state: str, targets: dict[str, str]) -> list[str]:
-    """Return the arrows that leave a state."""
-    leaving: dict[str, list[str]] = {}
-    for event, target in targets.items():
-        if target != state:
-            leaving.setdefault(target, []).append(event)
-    return [f"    {state} --> {target}: {', '.join(events)}" for target, events in leaving.items()]
-
-
-def tables() -> str:
-    """Return both tables in Markdown, and what each event means."""
-    head = "| state | " + " | ".join(event.name for event in AlarmEvent) + " |\n|---|" + "---|" * len(AlarmEvent)
-    rows = [f"| {state.value} | " + " | ".join(t.value for t in row.values()) + " |" for state, row in PROCESS.items()]
-    cover_head = "| cover | " + " | ".join(e.name for e in CoverEvent) + " |\n|---|" + "---|" * len(CoverEvent)
-    covers = [f"| {cover.value} | " + " | ".join(t.value for t in row.values()) + " |" for cover, row in COVERS.items()]
-    meanings = [f"| {event.name} | {meaning} |" for event, meaning in MEANINGS.items()]
-    parts = ["\n".join([head, *rows]), "\n".join([cover_head, *covers])]
-    return "\n\n".join([*parts, "\n".join(["| event | meaning |", "|---|---|", *meanings])])
-
-
 class Kind(StrEnum):
     """Comparison of a value with its limits."""
 

@@ -17,7 +17,7 @@ from service.core.estimation.calibration.whitened_fit import ColouredNoise
 from service.core.geometry.frames import AntennaDirection, satellite_elevation_deg, station_direction
 from service.pipeline.carrier_model.level_control import MIN_GROUP, alc_groups
 from service.pipeline.inputs.catalogue_checks import LOW_DEG, Position, check_positions
-from service.pipeline.planning.candidates import NOT_USABLE, Candidates
+from service.pipeline.planning.planning import NOT_USABLE, Candidates
 from service.records.catalogue import Carrier, CarrierPlan
 from service.records.levels.attitude import FloatArray, IntArray
 

@@ -11,8 +11,7 @@ from service.core.control.sign_check import SignDecision, SignState
 from service.core.control.slew_schedule import Effect
 from service.errors import ConflictError, ForbiddenError, GoneError, InvalidInputError, NotFoundError, SooError
 from service.pipeline.control.command.compute_command import command_for
-from service.pipeline.control.command.control_design import control_design
-from service.pipeline.control.command.schedule_check import PanelSwing, schedule_verdict, swing_after
+from service.pipeline.control.command.control_design import PanelSwing, control_design, schedule_verdict, swing_after
 from service.pipeline.control.release.advance import settled_at
 from service.pipeline.control.release.command_states import OPEN, UNREPORTED, CommandTransition, State
 from service.pipeline.control.release.command_transitions import command_of

@@ -8,16 +8,18 @@ from service.errors import ConflictError, InvalidInputError, NotFoundError
 from service.pipeline.calibration.minute_rows import minute_rows
 from service.pipeline.calibration.window_harmonics import CarrierHarmonic, paper_harmonics, robust_harmonics
 from service.pipeline.config import CalibrationConfig
-from service.pipeline.planning.candidates import (
+from service.pipeline.planning.planning import (
     MIN_USABLE,
     Candidates,
     MomentumGain,
     MotionGain,
+    Recommendation,
+    Rule,
     candidates_of,
     momentum_gain,
     motion_gain,
+    recommend,
 )
-from service.pipeline.planning.planning import Recommendation, Rule, recommend
 from service.ports.storage import Storage
 from service.records.calibration import Calibration, CalibrationMethod, CalibrationResult, CalibrationState, Window
 from service.records.catalogue import CarrierPlan, Method, Spacecraft

@@ -13,8 +13,7 @@ import numpy as np
 
 from service.records.catalogue import Method
 from service.study.closed_loop.controllers import Sensing
-from service.study.closed_loop.merit import PERCENTILES, GroupMerit, group_merit
-from service.study.closed_loop.run import FlownRun, LoopResult, LoopUnit, fly_unit
+from service.study.closed_loop.run import PERCENTILES, FlownRun, GroupMerit, LoopResult, LoopUnit, fly_unit, group_merit
 from service.study.executors import WorkerChoice, do_work, executor_of
 
 _ARRAYS = ("hours", "truth_deg", "estimate_deg", "is_inhibited", "is_faded")

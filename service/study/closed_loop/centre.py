@@ -14,19 +14,8 @@ from typing import cast
 from service.errors import NotFoundError
 from service.pipeline.chain import Chain
 from service.pipeline.config import TorqueConfig
+from service.pipeline.control.release import events
 from service.pipeline.control.release.command_states import MAY_RELEASE, OPEN, UNREPORTED, CommandTransition, State
-from service.pipeline.control.release.events import (
-    Confirm,
-    Engage,
-    InputsChanged,
-    Order,
-    OrderKind,
-    Prepare,
-    ReleaseState,
-    Report,
-    StoredRow,
-    document_of,
-)
 from service.pipeline.control.release.interlock import Instant, Interlock
 from service.pipeline.control.release.interlock_conditions import (
     Condition,
@@ -131,8 +120,8 @@ class Centre:
 
     def __post_init__(self) -> None:
         facts = self._facts()
-        state = ReleaseState(Interlock(inputs=facts.inputs, proven_axes=("yaw", "roll", "pitch")))
-        self._releases = FlightReleases(StoredRelease(1, document_of(state), "flight"))
+        state = events.ReleaseState(Interlock(inputs=facts.inputs, proven_axes=("yaw", "roll", "pitch")))
+        self._releases = FlightReleases(StoredRelease(1, events.document_of(state), "flight"))
         storage = cast("Storage", SimpleNamespace(releases=self._releases))
         audit = SimpleNamespace(append=lambda _: None)
         publisher = ReleasePublisher(audit, LiveFeed(), lambda _: None)
@@ -169,8 +158,8 @@ class Centre:
         self._command = outcome.command or self._command
         inputs = interlock_inputs(release.facts, at.now_us, lease_holders=1, is_disagreeing=False)
         if inputs != release.state.interlock.inputs:
-            release.handle(InputsChanged(at, inputs))
-        stored = StoredRow(outcome, evidence())
+            release.handle(events.InputsChanged(at, inputs))
+        stored = events.StoredRow(outcome, evidence())
         row = release.update(stored, release.spacecraft.control.method)
         if row is not None:
             handle_row(release, stored, row, at, may_send=True)
@@ -231,11 +220,11 @@ class Centre:
             return
         until_us = report.executed_until_us
         if report.state in _NOTHING_EXECUTED or (report.state == "executed" and until_us is None):
-            self._report(Report(self._at(), command.counter, CommandTransition.FAILED))
+            self._report(events.Report(self._at(), command.counter, CommandTransition.FAILED))
         elif until_us is not None and (report.state == "executed" or until_us >= self._slew_stop_us(command)):
             is_cut = report.state == "executed" and until_us < command.stop_us
             part_us = until_us if is_cut else None
-            executed = Report(self._at(), command.counter, CommandTransition.EXECUTED, executed_until_us=part_us)
+            executed = events.Report(self._at(), command.counter, CommandTransition.EXECUTED, executed_until_us=part_us)
             self._report(executed)
 
     def _slew_stop_us(self, command: Command) -> int:
@@ -244,7 +233,7 @@ class Centre:
         begun_us = command.start_us + microseconds(slew_s)
         return max(pulse.stop_us for pulse in command.schedule if pulse.start_us <= begun_us)
 
-    def _report(self, event: Report) -> None:
+    def _report(self, event: events.Report) -> None:
         self._release.handle(event)
         judge_report(self._release, event)
 
@@ -252,7 +241,7 @@ class Centre:
         """Report commands whose report is overdue as failed: nothing of them was executed."""
         for command in self._release.state.commands:
             if command.state in UNREPORTED and at.now_us >= command.stop_us + microseconds(_REPORT_TIMEOUT_S):
-                self._report(Report(at, command.counter, CommandTransition.FAILED))
+                self._report(events.Report(at, command.counter, CommandTransition.FAILED))
 
     def _on_duty(self, at: Instant) -> None:
         """Do what the two persons on duty do."""
@@ -261,16 +250,16 @@ class Centre:
         handle, interlock = self._release.handle, self._release.state.interlock
         self.trips = tuple(dict.fromkeys((*self.trips, *(condition.word for condition in interlock.trips))))
         if interlock.state is State.TRIPPED and _OWN_TRIPS.issuperset(interlock.trips):
-            handle(Order(at, _OPERATOR, OrderKind.RESET))
+            handle(events.Order(at, _OPERATOR, events.OrderKind.RESET))
         elif interlock.state is State.INHIBITED and not interlock.is_armed:
-            handle(Order(at, _OPERATOR, OrderKind.ARM))
+            handle(events.Order(at, _OPERATOR, events.OrderKind.ARM))
         elif interlock.state is State.RECOVERY:
             self._lead_back(at)
         interlock = self._release.state.interlock
         if interlock.state is State.ARMED:
             until_us = at.now_us + microseconds(self.settings.longest_authorisation_s)
             for by in (_OPERATOR, _APPROVER):
-                handle(Engage(at, by, until_us, self.settings.envelope, is_approver=by == _APPROVER))
+                handle(events.Engage(at, by, until_us, self.settings.envelope, is_approver=by == _APPROVER))
 
     def _lead_back(self, at: Instant) -> None:
         """Release a single command by two persons, once a command period."""
@@ -281,6 +270,6 @@ class Centre:
         if is_busy or at.now_us - newest_us < period_us:
             return
         command = requested(release, CommandRequest("back to the range of automatic control"), at)
-        if release.handle(Prepare(at, _OPERATOR, command)).refusal is None:
+        if release.handle(events.Prepare(at, _OPERATOR, command)).refusal is None:
             prepared = release.state.commands[-1]
-            release.handle(Confirm(at, _APPROVER, prepared.counter, prepared.digest, is_approver=True))
+            release.handle(events.Confirm(at, _APPROVER, prepared.counter, prepared.digest, is_approver=True))

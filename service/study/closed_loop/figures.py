@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 
 from service.study.closed_loop.campaign import LoopCampaign
 from service.study.closed_loop.controllers import Sensing
-from service.study.closed_loop.merit import NARROW_DEG, PERCENTILES
-from service.study.closed_loop.run import FlownRun
+from service.study.closed_loop.run import NARROW_DEG, PERCENTILES, FlownRun
 
 _COLOURS = {Sensing.AUTOMATIC: "#1f77b4", Sensing.TRUTH: "#2ca02c", Sensing.OFF: "#d62728"}
 #: deg, what is farther off is cut

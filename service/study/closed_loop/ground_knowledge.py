@@ -13,16 +13,7 @@ from service.records.inputs import SlowInput, SourceSelection
 from service.records.levels.attitude import BoolArray, IntArray
 from service.records.levels.measurement import ReferenceSeries
 from service.study.closed_loop.plant_process import Line, Opening
-from service.study.estimation.flight.world import (
-    AXES,
-    Ground,
-    GroundEvent,
-    read_carriers,
-    read_ephemeris,
-    read_operation,
-    read_spacecraft,
-    read_telemetry,
-)
+from service.study.estimation.flight import world as flight
 
 _SOURCE = "sa-1"
 _NAN = float("nan")
@@ -31,7 +22,7 @@ RELATIVE_ERROR = 0.06
 AXIS_RELATIVE_ERROR = 0.01
 
 
-def ground_of(opening: Opening) -> Ground:
+def ground_of(opening: Opening) -> flight.Ground:
     """Return what the ground knows before operation; corrections are not flown."""
     bodies: dict[str, Line] = {}
     for line in opening.ground:
@@ -39,10 +30,10 @@ def ground_of(opening: Opening) -> Ground:
     epochs_us = np.array(opening.epochs_us, dtype=np.int64)
     phases = [line for line in opening.ground if line["kind"] == "phase"]
     windows = {line["name"]: Window(parse_epoch(line["start"]), parse_epoch(line["stop"])) for line in phases}
-    return Ground(
+    return flight.Ground(
         spacecraft=_spacecraft(bodies["spacecraft"], opening.fed_forward),
-        carriers=read_carriers(bodies["carriers"]),
-        ephemeris=read_ephemeris(bodies["ephemeris"]),
+        carriers=flight.read_carriers(bodies["carriers"]),
+        ephemeris=flight.read_ephemeris(bodies["ephemeris"]),
         events=tuple(_telemetry(opening.ground)),
         corrections=(),
         phases=windows,
@@ -56,16 +47,16 @@ def ground_of(opening: Opening) -> Ground:
     )
 
 
-def _telemetry(lines: tuple[Line, ...]) -> Iterator[GroundEvent]:
+def _telemetry(lines: tuple[Line, ...]) -> Iterator[flight.GroundEvent]:
     """Yield the records of telemetry before operation."""
     for line in lines:
         if line["kind"] == "telemetry":
-            yield from (GroundEvent(record.epoch_us, record) for record in read_telemetry(line["body"]))
+            yield from (flight.GroundEvent(record.epoch_us, record) for record in flight.read_telemetry(line["body"]))
 
 
 def _spacecraft(body: Line, fed_forward: Line | None) -> Spacecraft:
     """Return the catalogue's spacecraft with the torque that its loop feeds forward: the ground wrote that profile."""
-    record = read_spacecraft(body)
+    record = flight.read_spacecraft(body)
     if fed_forward is None:
         return record
     announced = FedForwardTorque(
@@ -85,14 +76,14 @@ def slow_inputs(lines: tuple[Line, ...], documents: JournalDocuments, number: in
     for position, line in enumerate(lines):
         kind, body = line["kind"], line.get("body", {})
         if kind == "carriers":
-            yield documents.add_plan(read_carriers(body))
+            yield documents.add_plan(flight.read_carriers(body))
         elif kind == "ephemeris":
-            yield documents.add_ephemeris(read_ephemeris(body))
+            yield documents.add_ephemeris(flight.read_ephemeris(body))
         elif kind == "operations":
-            yield read_operation(body, number + position)
+            yield flight.read_operation(body, number + position)
         elif kind == "telemetry":
             # numbers of the wheels' speed and of the body's rate are not read by the chain
-            yield from read_telemetry(body)
+            yield from flight.read_telemetry(body)
         elif kind == "source":
             yield SourceSelection(body["source"], number + position)
 
@@ -115,8 +106,8 @@ def _references(opening: Opening) -> tuple[ReferenceSeries, ...]:
         ReferenceSeries(
             source,
             np.array([parse_epoch(one["epoch"]) for one in entries], dtype=np.int64),
-            np.array([[_number(one[f"{axis}_deg"]) for axis in AXES] for one in entries]),
-            np.array([[_number(one["sigma_deg"][axis]) for axis in AXES] for one in entries]),
+            np.array([[_number(one[f"{axis}_deg"]) for axis in flight.AXES] for one in entries]),
+            np.array([[_number(one["sigma_deg"][axis]) for axis in flight.AXES] for one in entries]),
         )
         for source, entries in announced.items()
     )

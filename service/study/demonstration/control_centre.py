@@ -12,10 +12,9 @@ from service.client.documents import Control, Json
 from service.client.problem import ProblemError
 from service.client.service_client import ServiceClient
 from service.records.epoch import US_PER_S, parse_epoch
-from service.study.demonstration.merit import AXES
 from service.study.demonstration.processes import SimulatorLine
 
-_AXES = ("yaw", "roll", "pitch")
+AXES = ("yaw", "roll", "pitch")
 
 
 class SpacecraftLineError(Exception):
@@ -87,7 +86,7 @@ class SpacecraftLine(SimulatorLine):
 
 
 def _report(line: Json) -> SpacecraftReport:
-    nothing = dict.fromkeys(_AXES, 0.0)
+    nothing = dict.fromkeys(AXES, 0.0)
     return SpacecraftReport(
         line["counter"],
         line["state"],

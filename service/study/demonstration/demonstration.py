@@ -22,8 +22,7 @@ from service.client.service_client import ServiceClient
 from service.records.epoch import format_epoch, parse_epoch
 from service.records.storage import sqlite_url
 from service.study.closed_loop.ground_knowledge import AXIS_RELATIVE_ERROR, RELATIVE_ERROR
-from service.study.demonstration.control_centre import ControlCentre, SpacecraftLine
-from service.study.demonstration.merit import AXES
+from service.study.demonstration.control_centre import AXES, ControlCentre, SpacecraftLine
 from service.study.demonstration.processes import ChildProcess, FrontEnd, GroundLink
 
 #: wait for rows that are on their way, s

@@ -10,10 +10,8 @@ from matplotlib.figure import Figure
 
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import FloatArray
-from service.study.demonstration.archive_check import METHODS
-from service.study.demonstration.closed_judgement import USUAL_BOUNDS_DEG, FlightAlone
-from service.study.demonstration.judgement import TrackedAngles
-from service.study.demonstration.merit import AXES
+from service.study.demonstration.control_centre import AXES
+from service.study.demonstration.judgement import METHODS, USUAL_BOUNDS_DEG, FlightAlone, TrackedAngles
 
 _COLOURS = {"robust": "#1f77b4", "paper": "#ff7f0e"}
 #: deg, what is farther off is cut

@@ -24,19 +24,7 @@ import numpy as np
 from service.records.catalogue import Method
 from service.records.levels.attitude import BoolArray, FloatArray, IntArray
 from service.records.levels.measurement import Float32Array
-from service.study.estimation.bound_table import BOUNDS
-from service.study.estimation.bounds import (
-    AXES,
-    Accuracy,
-    Bound,
-    Judged,
-    Mark,
-    Statistics,
-    accuracy_statistics,
-    idle_baselines,
-    judge,
-    measure_accuracy,
-)
+from service.study.estimation import bounds
 from service.study.estimation.flight.baselines import BASELINES, UNINFORMED, baseline_answers
 from service.study.estimation.flight.drive import Driven, UndrivenError, drive
 from service.study.estimation.flight.episodes import stretches
@@ -184,7 +172,7 @@ class UnitResult:
     #: reason why the chain could not run, empty where it could
     refusal: str = ""
     methods: dict[str, Measures] = field(default_factory=dict)
-    baselines: dict[str, Accuracy] = field(default_factory=dict)
+    baselines: dict[str, bounds.Accuracy] = field(default_factory=dict)
     course: Course | None = None
     #: by name of the answer
     yardsticks: dict[str, Yardstick] = field(default_factory=dict)
@@ -226,14 +214,14 @@ def _driven(world: World) -> Driven | str:
         return f"the product failed: {type(error).__name__}: {error}"
 
 
-def _baselines(world: World, driven: Driven) -> dict[str, Accuracy]:
+def _baselines(world: World, driven: Driven) -> dict[str, bounds.Accuracy]:
     """Return what the answers without powers amount to."""
     judged = judged_rows(world, driven)
     epochs_us = world.ground.epochs_us[driven.rows]
     answers = baseline_answers(epochs_us, driven.alignment_epoch_us, driven.alignment_deg, world.ground.corrections)
     truth_deg = world.truth.attitude_deg[driven.rows[judged]]
     unknown = np.full(truth_deg.shape, np.nan)
-    return {name: measure_accuracy(answer[judged], unknown, truth_deg) for name, answer in answers.items()}
+    return {name: bounds.measure_accuracy(answer[judged], unknown, truth_deg) for name, answer in answers.items()}
 
 
 def _course(world: World, driven: Driven) -> Course:
@@ -278,7 +266,7 @@ AFTER_H = 3.0
 _MEAN_H = 0.5
 
 
-def night_statistics(pairs: Sequence[tuple[Course, Course]], method: str) -> Statistics:
+def night_statistics(pairs: Sequence[tuple[Course, Course]], method: str) -> bounds.Statistics:
     """Return the largest shift during the nights and what is left of it afterwards, over all seeds.
 
     Parameters
@@ -306,7 +294,7 @@ def night_statistics(pairs: Sequence[tuple[Course, Course]], method: str) -> Sta
     if not shifts:
         return {}
     worst = {"shift_deg": np.max(shifts, axis=0), "left_deg": np.max(left, axis=0)}
-    return {f"{name}.{axis}": float(values[k]) for name, values in worst.items() for k, axis in enumerate(AXES)}
+    return {f"{name}.{axis}": float(values[k]) for name, values in worst.items() for k, axis in enumerate(bounds.AXES)}
 
 
 def _largest_mean(moved: FloatArray, hours: Float32Array) -> FloatArray:
@@ -340,15 +328,15 @@ class Campaign:
     #: of every unit, in the order of scenarios and seeds
     results: tuple[UnitResult, ...]
     #: by scenario and method or baseline
-    statistics: dict[tuple[str, str], Statistics]
-    judged: tuple[Judged, ...]
+    statistics: dict[tuple[str, str], bounds.Statistics]
+    judged: tuple[bounds.Judged, ...]
     #: scenario and baseline that keeps all its bounds of accuracy
     idle: tuple[tuple[str, str], ...]
 
     @property
-    def missed(self) -> tuple[Judged, ...]:
+    def missed(self) -> tuple[bounds.Judged, ...]:
         """Bounds that were missed."""
-        return tuple(judged for judged in self.judged if judged.mark is Mark.MISSED)
+        return tuple(judged for judged in self.judged if judged.mark is bounds.Mark.MISSED)
 
     @property
     def refusals(self) -> tuple[UnitResult, ...]:
@@ -397,23 +385,23 @@ def assess(
     plan: CampaignPlan,
     seconds: float,
     results: tuple[UnitResult, ...],
-    statistics: dict[tuple[str, str], Statistics],
-    bounds: Sequence[Bound] = BOUNDS,
+    statistics: dict[tuple[str, str], bounds.Statistics],
+    all_bounds: Sequence[bounds.Bound] = bounds.BOUNDS,
 ) -> Campaign:
     """Return a campaign with its figures held against the bounds; what was not run is left out."""
     run = {scenario for scenario, _method in statistics} | {result.unit.scenario for result in results}
-    own = [bound for bound in bounds if bound.scenario in run]
-    silent = {(scenario, method): Statistics() for scenario in run for method in METHODS}
-    judged = judge(own, {**silent, **statistics})
-    return Campaign(plan, seconds, results, statistics, judged, idle_baselines(own, statistics, UNINFORMED))
+    own = [bound for bound in all_bounds if bound.scenario in run]
+    silent = {(scenario, method): bounds.Statistics() for scenario in run for method in METHODS}
+    judged = bounds.judge(own, {**silent, **statistics})
+    return Campaign(plan, seconds, results, statistics, judged, bounds.idle_baselines(own, statistics, UNINFORMED))
 
 
-def collect_metrics(results: Sequence[UnitResult]) -> dict[tuple[str, str], Statistics]:
+def collect_metrics(results: Sequence[UnitResult]) -> dict[tuple[str, str], bounds.Statistics]:
     """Return the figures of every method and baseline over the seeds of each scenario.
 
     A method that did not answer in one of the seeds has no figures of the scenario.
     """
-    statistics: dict[tuple[str, str], Statistics] = {}
+    statistics: dict[tuple[str, str], bounds.Statistics] = {}
     by_scenario: dict[str, list[UnitResult]] = {}
     for result in results:
         by_scenario.setdefault(result.unit.scenario, []).append(result)
@@ -425,13 +413,15 @@ def collect_metrics(results: Sequence[UnitResult]) -> dict[tuple[str, str], Stat
     return statistics
 
 
-def _statistics_by_answer(seeds: Sequence[UnitResult]) -> dict[str, Statistics]:
+def _statistics_by_answer(seeds: Sequence[UnitResult]) -> dict[str, bounds.Statistics]:
     """Return the figures of one scenario by method or baseline."""
     methods = [method for method in (*METHODS, ORACLE) if all(method in seed.methods for seed in seeds)]
     baselines = [baseline for baseline in BASELINES if all(baseline in seed.baselines for seed in seeds)]
     reported = {
         **{method: statistics_of([seed.methods[method] for seed in seeds]) for method in methods},
-        **{baseline: accuracy_statistics([seed.baselines[baseline] for seed in seeds]) for baseline in baselines},
+        **{
+            baseline: bounds.accuracy_statistics([seed.baselines[baseline] for seed in seeds]) for baseline in baselines
+        },
     }
     for answer in dict.fromkeys(answer for seed in seeds for answer in seed.yardsticks):
         answering = {seed.unit.seed: seed.yardsticks[answer] for seed in seeds if answer in seed.yardsticks}
@@ -446,15 +436,15 @@ def _statistics_by_answer(seeds: Sequence[UnitResult]) -> dict[str, Statistics]:
     return reported
 
 
-def _ratio_to_oracle(own: Statistics, oracle: Statistics) -> Statistics:
+def _ratio_to_oracle(own: bounds.Statistics, oracle: bounds.Statistics) -> bounds.Statistics:
     """Return rms of an answer over that of the oracle, axis by axis."""
-    return {f"rms_over_oracle.{axis}": own[f"rms_deg.{axis}"] / oracle[f"rms_deg.{axis}"] for axis in AXES}
+    return {f"rms_over_oracle.{axis}": own[f"rms_deg.{axis}"] / oracle[f"rms_deg.{axis}"] for axis in bounds.AXES}
 
 
-def _ratio_to_bound(own: Statistics, oracle: Statistics) -> Statistics:
+def _ratio_to_bound(own: bounds.Statistics, oracle: bounds.Statistics) -> bounds.Statistics:
     """Return the covariance bound, which the oracle's Riccati equation gives, and an answer's pooled rms over it."""
-    statistics = {f"bound_deg.{axis}": oracle[f"sigma_deg.{axis}"] for axis in AXES}
-    for axis in AXES:
+    statistics = {f"bound_deg.{axis}": oracle[f"sigma_deg.{axis}"] for axis in bounds.AXES}
+    for axis in bounds.AXES:
         rms_deg = own[f"rms_over_sigma.{axis}"] * own[f"sigma_deg.{axis}"]
         statistics[f"rms_over_bound.{axis}"] = rms_deg / statistics[f"bound_deg.{axis}"]
     return statistics

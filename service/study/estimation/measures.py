@@ -19,20 +19,8 @@ import numpy as np
 
 from service.records.levels.attitude import BoolArray, FloatArray
 from service.study.estimation.bounds import AXES, Accuracy, Statistics, accuracy_statistics, measure_accuracy
-from service.study.estimation.flight.drive import Driven, MethodSeries
-from service.study.estimation.flight.episodes import (
-    FOUND_WITHIN_MIN,
-    DarkStatistics,
-    FaultStatistics,
-    RainStatistics,
-    measure_alarms,
-    measure_dark,
-    measure_faults,
-    measure_group_steps,
-    measure_rain,
-    stretches,
-)
-from service.study.estimation.flight.past import PastSeries
+from service.study.estimation.flight import episodes
+from service.study.estimation.flight.drive import Driven, MethodSeries, PastSeries
 from service.study.estimation.flight.world import World
 
 #: rows of this time after the start of operation are not judged, s
@@ -68,11 +56,11 @@ class Measures(NamedTuple):
 
     accuracy: Accuracy
     control: ControlOutcome
-    rain: RainStatistics
-    faults: FaultStatistics
+    rain: episodes.RainStatistics
+    faults: episodes.FaultStatistics
     #: (E, 3) deg, change of the error over each step of a transponder
     group_shift_deg: FloatArray
-    dark: DarkStatistics
+    dark: episodes.DarkStatistics
     #: (E,) min, and how many begin a day
     alarm_delay_min: FloatArray
     alarms_per_day: float
@@ -98,7 +86,7 @@ def measure_method(world: World, driven: Driven, series: MethodSeries) -> Measur
     fade_db = world.truth.downlink_fade_db[rows]
     is_wrong_row: BoolArray = np.asarray(is_wrong.any(axis=1))
     is_dark: BoolArray = np.asarray(world.truth.has_flag("off")[rows].all(axis=1))
-    alarm_delays, alarms_per_day = measure_alarms(
+    alarm_delays, alarms_per_day = episodes.measure_alarms(
         epochs_us,
         series.is_alarm[judged],
         world.ground.phases["operation"].start_us,
@@ -107,10 +95,10 @@ def measure_method(world: World, driven: Driven, series: MethodSeries) -> Measur
     return Measures(
         measure_accuracy(series.estimate_deg[judged], series.sigma_deg[judged], truth_deg),
         _control(series, judged, is_wrong, fade_db, _nights(world, driven)[judged], row_min),
-        measure_rain(epochs_us, fade_db, series.is_fade[judged], is_wrong_row, row_min),
-        measure_faults(epochs_us, world.truth, rows, series.is_excluded[judged], series.is_carrier_used),
-        measure_group_steps(epochs_us, world.truth.has_flag("group_step")[rows], signed_deg),
-        measure_dark(epochs_us, is_dark, error_deg),
+        episodes.measure_rain(epochs_us, fade_db, series.is_fade[judged], is_wrong_row, row_min),
+        episodes.measure_faults(epochs_us, world.truth, rows, series.is_excluded[judged], series.is_carrier_used),
+        episodes.measure_group_steps(epochs_us, world.truth.has_flag("group_step")[rows], signed_deg),
+        episodes.measure_dark(epochs_us, is_dark, error_deg),
         alarm_delays,
         alarms_per_day,
     )
@@ -131,7 +119,7 @@ def _control(
 ) -> ControlOutcome:
     """Return what control would have done."""
     is_allowed, is_dry = series.is_control_allowed[judged], fade_db == 0.0
-    nights = stretches(is_night)
+    nights = episodes.stretches(is_night)
     return ControlOutcome(
         row_min * float(np.count_nonzero(is_wrong.any(axis=1))),
         row_min * float(np.count_nonzero(is_wrong[:, 1:].any(axis=1))),
@@ -201,7 +189,7 @@ def _fault_statistics(seeds: Sequence[Measures]) -> Statistics:
     statistics = {"false_exclusion_share": sum(fault.false_pairs for fault in faults) / clean} if clean else {}
     delay_min = np.concatenate([fault.delay_min for fault in faults])
     if len(delay_min):
-        found = delay_min <= FOUND_WITHIN_MIN
+        found = delay_min <= episodes.FOUND_WITHIN_MIN
         statistics |= {
             "faults": float(len(delay_min)),
             "faults_found_share": float(found.mean()),

@@ -16,8 +16,7 @@ from service.core.flexible.motion import FlexibleMotion, follow_motion
 from service.core.flexible.propagation import BodyState
 from service.core.flexible.spacecraft import HubMode, SwitchingLaw, WheelDrive
 from service.study.limit_cycles import reference
-from service.study.limit_cycles.capture_tables import cycle_switch, mode_of, switch_of
-from service.study.limit_cycles.cycle_tables import cycle_of, motion_of
+from service.study.limit_cycles.report import cycle_of, cycle_switch, mode_of, motion_of, switch_of
 
 _COLORS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd")
 #: mode of the panels in the figure of the cycles; the paper gives none

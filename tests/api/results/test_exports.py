@@ -15,9 +15,7 @@ from pyarrow import parquet
 from starlette.requests import ClientDisconnect, Request
 
 from service.api.export import export_chunks
-from service.api.export import export_chunks as archive_chunks
 from service.api.export import export_chunks as joined_rows
-from service.api.export import export_files as archive_files
 from service.api.export.export_responses import bounded_answer
 from service.ports.archive import Outcome
 from service.records.calibration import Window
@@ -325,8 +323,7 @@ async def test_pages_of_attitude_make_the_same_file_as_one(bench, make, monkeypa
         whole = await lines_of(bench, f"/archive/{series}:export")
         assert len(whole) == rows + 1
         with monkeypatch.context() as patch:
-            patch.setattr(archive_chunks, "PAGE_ROWS", 3)
-            patch.setattr(archive_files, "PAGE_ROWS", 3)
+            patch.setattr(export_chunks, "PAGE_ROWS", 3)
             assert await lines_of(bench, f"/archive/{series}:export") == whole
 
 

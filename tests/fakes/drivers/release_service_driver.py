@@ -9,8 +9,13 @@ from release_storage import SC, FakeArchive, KilledError
 
 from service.core.control.sign_check import SignState
 from service.pipeline.config import TorqueConfig
-from service.pipeline.control.command.balance import basis_at, basis_of, with_executed
-from service.pipeline.control.command.compute_command import NO_CARRY, compute_command
+from service.pipeline.control.command.compute_command import (
+    NO_CARRY,
+    basis_at,
+    basis_of,
+    compute_command,
+    with_executed,
+)
 from service.pipeline.control.release.control_verdict import ControlVerdict, ControlView, control_verdict
 from service.pipeline.control.release.events import OrderKind, SignJudged, StoredRow
 from service.pipeline.control.release.interlock_conditions import ReleaseSettings

@@ -12,7 +12,7 @@ from service.frontend.acquisition.evaluation import MeasuredRow
 from service.frontend.spool.file import Bounds, Owner, UploadLane
 from service.frontend.spool.row import ARRAYS, SpooledTask
 from service.frontend.spool.spool import Spool
-from service.records.levels.sweep import Sweep, SweepSettings
+from service.records.levels.measurement import Sweep, SweepSettings
 
 OWNER = Owner("sc", "sa-1")
 TASK = SpooledTask("f" * 64, ("c00", "c01"))

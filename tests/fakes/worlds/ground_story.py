@@ -2,8 +2,7 @@
 
 from collections.abc import Iterator
 
-from analyzer_sim.world.ground.ground import ROWS_PER_CHUNK, catalogue_lines, chunk_lines, chunks_of
-from analyzer_sim.world.ground.ground_bodies import Line
+from analyzer_sim.world.ground.ground import ROWS_PER_CHUNK, Line, catalogue_lines, chunk_lines, chunks_of
 from analyzer_sim.world.world import World
 
 

@@ -39,17 +39,21 @@ from service.core.flexible.schedule import (
 )
 from service.core.flexible.spacecraft import HubMode
 from service.study.limit_cycles import reference
-from service.study.limit_cycles.capture_tables import (
+from service.study.limit_cycles.reference import CaptureCase
+from service.study.limit_cycles.report import (
     agrees_with_published,
+    basin_count,
+    cycle_of,
     cycle_switch,
+    followed_arrivals,
     is_captured,
     mode_of,
+    motion_of,
     perpetual_lock,
+    schedules,
     switch_of,
+    wandering_range,
 )
-from service.study.limit_cycles.cycle_tables import basin_count, cycle_of, followed_arrivals, motion_of, wandering_range
-from service.study.limit_cycles.reference import CaptureCase
-from service.study.limit_cycles.report import schedules
 
 CASES = list(reference.CYCLES)
 

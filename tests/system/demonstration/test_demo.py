@@ -25,9 +25,8 @@ from service.client.problem import ProblemError
 from service.client.service_client import ServiceClient
 from service.records.epoch import parse_epoch
 from service.study.closed_loop.plant_process import PlantProcess
-from service.study.demonstration.control_centre import RowPaces, TwoStepCentre
+from service.study.demonstration.control_centre import AXES, RowPaces, TwoStepCentre
 from service.study.demonstration.demonstration import Scene, run_story
-from service.study.demonstration.merit import AXES
 
 pytestmark = [pytest.mark.system, pytest.mark.slow]
 

@@ -29,7 +29,6 @@ from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.instrument.painter import Detail, TracePainter
 from analyzer_sim.lines.line_faults import LineFault
 from service.client.backoff import Backoff
-from service.frontend.acquisition.acquisition import Acquisition
 from service.frontend.acquisition.evaluation import MeasuredRow, MeasuringCycle, TaskEvaluation
 from service.frontend.acquisition.states import AcquisitionSettings
 from service.frontend.drivers.dialects import GENERIC, RS, dialect_of, identify
@@ -37,6 +36,7 @@ from service.frontend.drivers.scpi_driver import ScpiDriver
 from service.frontend.drivers.visa_session import AnalyzerIOError, VisaSession
 from service.frontend.measurement_task import InputPart, MeasurementTask, parse_task
 from service.frontend.spool.spool import spool_path
+from service.frontend.station import Acquisition
 from service.frontend.tasks.task_plan import plan_with_zoom
 from service.records.levels.measurement import QualityFlag
 

@@ -19,15 +19,14 @@ from fault_table import TABLE, FaultRow
 from steady_world import CARRIERS, Steady, steady_task
 from waiting import wait_until
 
-from analyzer_sim.instrument.imperfections import IDEAL
+from analyzer_sim.instrument.imperfections import IDEAL, TraceFault
 from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.instrument.painter import Detail, TracePainter
-from analyzer_sim.instrument.trace_faults import TraceFault
 from analyzer_sim.lines.line_faults import LineFault
 from service.client.backoff import Backoff
-from service.frontend.acquisition.acquisition import Acquisition
 from service.frontend.acquisition.evaluation import MeasuredRow
 from service.frontend.acquisition.states import AcquisitionSettings
+from service.frontend.station import Acquisition
 from service.records.levels.measurement import QualityFlag, flag_names
 
 # the VISA library leaves the socket of a session that it could not open to the collector

@@ -23,7 +23,7 @@ import numpy as np
 import pytest
 from waiting import wait_until
 
-from analyzer_sim.world.ground import ground, ground_bodies
+from analyzer_sim.world.ground import ground
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
 from service.records.epoch import format_epoch
@@ -143,9 +143,9 @@ class Rig:
         task["sweeps"][0]["time_s"] = 0.1
         self.task_path.write_text(json.dumps(task))
         with self.service.client() as client:
-            body = ground_bodies.spacecraft_body(world) | {"id": "sc"}
+            body = ground.spacecraft_body(world) | {"id": "sc"}
             assert client.post("/api/v1/spacecraft", json=body).status_code == 201
-            plan = {"carriers": [ground_bodies.carrier_body(world, each) for each in carriers]}
+            plan = {"carriers": [ground.carrier_body(world, each) for each in carriers]}
             client.put("/api/v1/spacecraft/sc/carriers", json=plan).raise_for_status()
         self.key_file = folder / "station.key"
         self.key_id, key = self.make_key("0")

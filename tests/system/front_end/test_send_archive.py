@@ -141,7 +141,7 @@ def test_exit_codes_tell_what_became_of_the_rows(
 
     def code_of(*options: str, url: str = service.url) -> int:
         given = ["powers", str(path), "--spacecraft", "sim-1", "--source", "sa-9", "--service", url]
-        result = CliRunner().invoke(app, [*given, "--last-day", "2026-01-01", *options])
+        result = CliRunner().invoke(app, [*given, "--state", "last_day=2026-01-01", *options])
         print(result.output)
         return result.exit_code
 
@@ -153,7 +153,7 @@ def test_exit_codes_tell_what_became_of_the_rows(
         path.with_name("levels.csv.refused.csv").rename(tmp_path / "refused.csv")
         path.write_text("epoch,source,c00_dbm\n2026-01-01T00:00:00Z,sa-8,-40\n")
         assert code_of() == 2
-        assert code_of("--from-source", "sa-8") == 0
+        assert code_of("--state", "from_source=sa-8") == 0
     finally:
         signal.signal(signal.SIGTERM, before)
     refused = (tmp_path / "refused.csv").read_text().splitlines()

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from analyzer_sim.dialects.dialect_page import MARKDOWN_COMMAND, markdown_page
 from analyzer_sim.dialects.dialects import DIALECTS
+from docs.dialect_page import MARKDOWN_COMMAND, markdown_page
 
 ALL = ("rs", "keysight", "siglent", "anritsu")
 ATTENUATION = {"rs": ":INP:ATT", "keysight": ":POW:ATT", "siglent": ":POW:ATT", "anritsu": ":POW:RF:ATT"}

@@ -16,7 +16,7 @@ from simulated_gain import attitude_gain_db
 import analyzer_sim.export as export_module
 from analyzer_sim.__main__ import build_parser, main
 from analyzer_sim.export import export_arrays, export_npz, measured_dbm
-from analyzer_sim.instrument.trace_faults import TraceFault, TraceFaults
+from analyzer_sim.instrument.imperfections import TraceFault, TraceFaults
 from analyzer_sim.lines.line_faults import LineFault, LineFaults
 from analyzer_sim.serving import FAULT_NAMES, arm
 from analyzer_sim.world.orbit import Orbit

@@ -10,8 +10,7 @@ from ground_story import ground_lines
 
 from analyzer_sim.epochs import epoch_us_from_text
 from analyzer_sim.export import export_arrays
-from analyzer_sim.world.ground.ground import chunks_of
-from analyzer_sim.world.ground.ground_bodies import carrier_body, task
+from analyzer_sim.world.ground.ground import carrier_body, chunks_of, task
 from analyzer_sim.world.payload.effects import FaultFlag
 from analyzer_sim.world.payload.level_terms import sensitivity_db_per_deg, users_noise_db
 from analyzer_sim.world.scenario.scenario import scenario_named

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from analyzer_sim.dialects.rs import RS
-from analyzer_sim.instrument.imperfections import IDEAL
+from analyzer_sim.instrument.imperfections import IDEAL, TraceFault, TraceFaults
 from analyzer_sim.instrument.instrument import Instrument, TraceNotReadyError
 from analyzer_sim.instrument.levels import int32_block
 from analyzer_sim.instrument.painter import TracePainter
 from analyzer_sim.instrument.sweep_progress import Pace, SweepProgress, SweepState
-from analyzer_sim.instrument.trace_faults import TraceFault, TraceFaults
 from analyzer_sim.instrument.truth_log import Reading, TruthLog
 from analyzer_sim.lines.dispatcher import Session, command_tree
 from analyzer_sim.scpi.status import OPERATION_SWEEPING, OPERATION_WAITING_FOR_TRIGGER

@@ -23,7 +23,7 @@ from analyzer_sim.instrument.spectrum import (
     too_fast_line_loss,
 )
 from analyzer_sim.streams import stream
-from analyzer_sim.world.ground.ground_bodies import task
+from analyzer_sim.world.ground.ground import task
 from analyzer_sim.world.payload.level_terms import sweep_sigma_db
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.client.backoff import Backoff
-from service.client.event_lines import SILENCE_S, Follower, StreamEvent
+from service.client.call import SILENCE_S, Follower, StreamEvent
 from service.client.problem import ProblemError, ServiceUnavailableError
 from service.client.series_table import SeriesArrays, table_of_rows, table_of_samples
 from service.client.service_client import JobFailedError, ServiceClient, epoch_text

@@ -31,8 +31,7 @@ from service.records.inputs import (
     WeatherReport,
 )
 from service.records.levels.attitude import AppliedCommand, Axes, Status, TorqueCommand, row_without_attitude
-from service.records.levels.measurement import QualityFlag
-from service.records.levels.sweep import Sweep, SweepSettings
+from service.records.levels.measurement import QualityFlag, Sweep, SweepSettings
 from service.records.operations.access import plain_name
 from service.records.operations.work import Replay
 

@@ -7,16 +7,8 @@ from typing import Any
 import numpy as np
 
 from service.core.arrays import FloatArray
+from service.core.control import slew_schedule
 from service.core.control.quaternion_law import inertia_about_angles
-from service.core.control.slew_schedule import (
-    AxisPulse,
-    Effect,
-    Envelope,
-    Triple,
-    envelope_excesses,
-    predicted_angles,
-    predicted_effect,
-)
 from service.pipeline.control.release.command_states import MAY_RELEASE, UNREPORTED, State
 from service.pipeline.control.release.events import Refusal, ReleaseState
 from service.pipeline.control.release.interlock import Instant, Interlock
@@ -35,7 +27,7 @@ def release_checks(
     at: Instant,
     settings: ReleaseSettings,
     *,
-    envelope: Envelope | None = None,
+    envelope: slew_schedule.Envelope | None = None,
     waiting_s: float | None = None,
 ) -> tuple[CommandCheck, ...]:
     """Return every check of a command against a settled state, those that fail and those that hold.
@@ -45,8 +37,8 @@ def release_checks(
     """
     interlock, epoch_us, yaw = state.interlock, command.attitude_epoch_us, command.gross_impulse_n_m_s.yaw
     sent_n_m_s = sent_within_an_hour(state, at.now_us)
-    effect = Effect(*(getattr(command, name) for name in Effect._fields))
-    excesses = envelope_excesses(effect, sent_n_m_s, envelope or settings.envelope)
+    effect = slew_schedule.Effect(*(getattr(command, name) for name in slew_schedule.Effect._fields))
+    excesses = slew_schedule.envelope_excesses(effect, sent_n_m_s, envelope or settings.envelope)
     newest_us, period_s = (0, 0.0) if interlock.row is None else (interlock.row.epoch_us, interlock.row.period_s)
     stale_us = settings.stale_us(period_s, settings.prepared_s if waiting_s is None else waiting_s)
     waiting = [each.counter for each in state.commands if each.state in UNREPORTED]
@@ -99,14 +91,14 @@ def first_failure(checks: tuple[CommandCheck, ...]) -> Refusal | None:
     return next((Refusal(check.code, check.detail) for check in checks if not check.is_ok), None)
 
 
-def sent_within_an_hour(state: ReleaseState, now_us: int) -> Triple:
+def sent_within_an_hour(state: ReleaseState, now_us: int) -> slew_schedule.Triple:
     """Return the sum of the impulses sent within the hour before an instant, yaw, roll, pitch, N m s."""
     recent = [sent.impulse_n_m_s for sent in state.sent if now_us - sent.at_us < _HOUR_US]
     yaw, roll, pitch = (float(sum(values)) for values in zip(*recent, strict=True)) if recent else (0.0, 0.0, 0.0)
     return yaw, roll, pitch
 
 
-def envelope_left(state: ReleaseState, now_us: int, settings: ReleaseSettings) -> Envelope:
+def envelope_left(state: ReleaseState, now_us: int, settings: ReleaseSettings) -> slew_schedule.Envelope:
     """Return the limits of the next command: those in force, and of the hour's impulse what has not been sent."""
     authorisation = state.interlock.authorisation
     limits = settings.envelope if authorisation is None else authorisation.terms.envelope
@@ -143,7 +135,7 @@ def _interlock_check(interlock: Interlock, command: Command) -> CommandCheck:
 #: predicted angles of a command
 _ANGLES = 61
 #: parts of an effect with one value an axis
-_BY_AXIS = tuple(name for name in Effect._fields if name != "wheel_momentum_n_m_s")
+_BY_AXIS = tuple(name for name in slew_schedule.Effect._fields if name != "wheel_momentum_n_m_s")
 #: body axes x roll, y pitch, z yaw in the order yaw, roll, pitch
 _ANGLES_FROM_BODY = [2, 0, 1]
 
@@ -152,8 +144,8 @@ def proposed(
     spacecraft: Spacecraft,
     attitude_epoch_us: int,
     start_us: int,
-    pulses: tuple[AxisPulse, ...],
-    effect: Effect,
+    pulses: tuple[slew_schedule.AxisPulse, ...],
+    effect: slew_schedule.Effect,
     checked: ScheduleVerdict | None,
     *,
     reason: str,
@@ -187,18 +179,20 @@ def proposal_of(command: TorqueCommand, spacecraft: Spacecraft, reason: str) -> 
     return proposed(spacecraft, *epochs_us, pulses, effect, checked, reason=reason, purpose=purpose, computed=command)
 
 
-def effect_of_law(command: TorqueCommand, spacecraft: Spacecraft) -> Effect:
+def effect_of_law(command: TorqueCommand, spacecraft: Spacecraft) -> slew_schedule.Effect:
     """Return the effect of a command of the law on angles, rates and wheels; ValueError as `proposal_of`."""
     return effect_of_pulses(pulses_of(command.schedule, command.epoch_us), spacecraft, command.command_period_s)
 
 
-def effect_of_pulses(pulses: tuple[AxisPulse, ...], spacecraft: Spacecraft, least_horizon_s: float) -> Effect:
+def effect_of_pulses(
+    pulses: tuple[slew_schedule.AxisPulse, ...], spacecraft: Spacecraft, least_horizon_s: float
+) -> slew_schedule.Effect:
     """Return the effect of pulses until the horizon, or until the last of them ends."""
     inertia, wheels = _mechanics(spacecraft)
-    return predicted_effect(pulses, inertia, wheels, _horizon_s(pulses, least_horizon_s))
+    return slew_schedule.predicted_effect(pulses, inertia, wheels, _horizon_s(pulses, least_horizon_s))
 
 
-def _horizon_s(pulses: tuple[AxisPulse, ...], least_s: float) -> float:
+def _horizon_s(pulses: tuple[slew_schedule.AxisPulse, ...], least_s: float) -> float:
     return max([least_s, *(pulse.stop_s for pulse in pulses)])
 
 
@@ -209,17 +203,17 @@ def angles_of(command: Command, spacecraft: Spacecraft) -> list[tuple[int, Axes]
     """
     pulses, (inertia, _) = pulses_of(command.schedule, command.start_us), _mechanics(spacecraft)
     horizon_s = _horizon_s(pulses, 0.0 if command.computed is None else command.computed.command_period_s)
-    at_s, angles_deg = predicted_angles(pulses, inertia, horizon_s, _ANGLES)
+    at_s, angles_deg = slew_schedule.predicted_angles(pulses, inertia, horizon_s, _ANGLES)
     if not np.allclose(angles_deg[-1], command.angle_change_deg, rtol=1e-6, atol=1e-9):
         return None
     instants_us = (command.start_us + np.round(at_s * US_PER_S).astype(np.int64)).tolist()
     return list(zip(instants_us, map(Axes._make, angles_deg.tolist()), strict=True))
 
 
-def pulses_of(schedule: Sequence[Pulse], start_us: int) -> tuple[AxisPulse, ...]:
+def pulses_of(schedule: Sequence[Pulse], start_us: int) -> tuple[slew_schedule.AxisPulse, ...]:
     """Return the elements of a schedule about each axis, in order of time."""
     pulses = [
-        AxisPulse(axis, (element.start_us - start_us) / US_PER_S, element.duration_s, torque_n_m)
+        slew_schedule.AxisPulse(axis, (element.start_us - start_us) / US_PER_S, element.duration_s, torque_n_m)
         for element in schedule
         for axis, torque_n_m in enumerate(element.torque_n_m)
         if torque_n_m
@@ -227,12 +221,12 @@ def pulses_of(schedule: Sequence[Pulse], start_us: int) -> tuple[AxisPulse, ...]
     return tuple(sorted(pulses, key=lambda pulse: (pulse.start_s, pulse.axis)))
 
 
-def schedule_of(pulses: Sequence[AxisPulse], start_us: int) -> tuple[Pulse, ...]:
+def schedule_of(pulses: Sequence[slew_schedule.AxisPulse], start_us: int) -> tuple[Pulse, ...]:
     """Return pulses by the calendar, one element a pulse.
 
     Examples
     --------
-    >>> schedule_of((AxisPulse(1, 2.0, 5.0, 0.01),), 7_000_000)
+    >>> schedule_of((slew_schedule.AxisPulse(1, 2.0, 5.0, 0.01),), 7_000_000)
     (Pulse(start_us=9000000, duration_s=5.0, torque_n_m=Axes(yaw=0.0, roll=0.01, pitch=0.0)),)
     """
     return tuple(

@@ -23,37 +23,84 @@ from service.pipeline.calibration.paper_calibration import calibrate_paper
 from service.pipeline.chain import Chain
 from service.pipeline.config import AlignmentConfig, CalibrationConfig, ChainConfig
 from service.pipeline.estimation.robust.row_recorder import RowRecorder
+from service.pipeline.estimation.smoothed import MOST_ROWS, SmoothedRow, SpanSmoother, lagged_angles
 from service.pipeline.inputs.knowledge import JournalDocuments
 from service.pipeline.inputs.sensor_angles import smooth_angles
-from service.records.calibration import (
-    Alignment,
-    Calibration,
-    CalibrationMethod,
-    CalibrationRequest,
-    CalibrationState,
-)
+from service.records import inputs
+from service.records.calibration import Alignment, Calibration, CalibrationMethod, CalibrationRequest, CalibrationState
 from service.records.catalogue import CarrierPlan, Ephemeris, Method
-from service.records.inputs import (
-    AlignmentSet,
-    CalibrationActivation,
-    PlanChange,
-    PolarizationRecord,
-    SlowInput,
-    SourceSelection,
-    SpacecraftChange,
-    TelemetryRecord,
-)
 from service.records.levels.attitude import AttitudeRow, BoolArray, FloatArray, IntArray
 from service.records.levels.measurement import Measurement
-from service.study.estimation.flight.past import Past, PastSeries
 from service.study.estimation.flight.world import Ground
+
+#: fixed lag, and how far the rows lie apart at which it is asked, h
+LAG_H, _PERIOD_H = 2.0, 0.5
+_US_PER_H = 3.6e9
+_ANGLES = slice(0, 3)
+
+
+@dataclass(frozen=True)
+class PastSeries:
+    """Smoothed angles of M rows."""
+
+    #: (M,) microseconds UTC
+    epochs_us: IntArray
+    #: (M, 3) deg, yaw, roll, pitch
+    estimate_deg: FloatArray
+    sigma_deg: FloatArray
+
+
+@dataclass
+class Past:
+    """Smoothers beside the chain of a study.
+
+    Parameters
+    ----------
+    recorder : RowRecorder
+        Recorder of the chain.
+    """
+
+    recorder: RowRecorder = field(default_factory=lambda: RowRecorder(MOST_ROWS))
+
+    def __post_init__(self) -> None:
+        """Begin with no row."""
+        self._span = SpanSmoother(self.recorder)
+        self._whole: list[SmoothedRow] = []
+        self._lagged: list[SmoothedRow] = []
+
+    def push_newest(self) -> None:
+        """Take in the newest row of the recorder."""
+        rows = self.recorder.rows
+        if rows and (not self._lagged or self._is_due(rows[-1].epoch_us)):
+            found = lagged_angles(rows, int(LAG_H * _US_PER_H))
+            self._lagged += [] if found is None else [found]
+        self._whole += self._span.pop()
+
+    def series(self) -> dict[str, PastSeries]:
+        """Return the smoothed answers by name after the last row."""
+        self._whole += self._span.rest()
+        return {"smoothed": _past_series(self._whole), "smoothed_2h": _past_series(self._lagged)}
+
+    def _is_due(self, newest_us: int) -> bool:
+        newest = self._lagged[-1]
+        return newest_us >= newest.epoch_us + newest.lag_us + int(_PERIOD_H * _US_PER_H)
+
+
+def _past_series(found: list[SmoothedRow]) -> PastSeries:
+    """Return smoothed rows as arrays."""
+    sigma = [np.sqrt(np.diag(each.state.covariance)[_ANGLES]) for each in found]
+    return PastSeries(
+        np.array([each.epoch_us for each in found], dtype=np.int64),
+        np.array([each.state.mean[_ANGLES] for each in found]).reshape(-1, 3),
+        np.array(sigma).reshape(-1, 3),
+    )
 
 
 class Entry(NamedTuple):
     """A slow input and when the ground hands it over."""
 
     epoch_us: int
-    content: SlowInput
+    content: inputs.SlowInput
 
 
 def slow_entries(ground: Ground, documents: JournalDocuments) -> list[Entry]:
@@ -74,7 +121,7 @@ def measurements(
 ) -> Iterator[Measurement]:
     """Yield the measurements in order, teaching the chain what comes before each of them."""
     waiting = entries[::-1]
-    later = [entry.content.plan_id for entry in entries if isinstance(entry.content, PlanChange)]
+    later = [entry.content.plan_id for entry in entries if isinstance(entry.content, inputs.PlanChange)]
     plan_id, prime = min(later, default=len(documents.plans) + 1) - 1, ground.source_names[0]
     columns = _columns(ground, documents.plans[plan_id])
     for number, row in enumerate(rows.tolist(), start=1):
@@ -82,9 +129,9 @@ def measurements(
         while waiting and waiting[-1].epoch_us <= epoch_us:
             content = waiting.pop().content
             chain.update(content)
-            if isinstance(content, PlanChange):
+            if isinstance(content, inputs.PlanChange):
                 plan_id, columns = content.plan_id, _columns(ground, documents.plans[content.plan_id])
-            elif isinstance(content, SourceSelection):
+            elif isinstance(content, inputs.SourceSelection):
                 prime = content.source
         power_dbm = ground.power_dbm[row, columns]
         yield Measurement(epoch_us, epoch_us, number, source, plan_id, power_dbm, None, feeds_estimator=source == prime)
@@ -190,7 +237,10 @@ def open_chain(ground: Ground, config: ChainConfig | None = None, recorder: RowR
         The calibration or the alignment was refused.
     """
     documents = JournalDocuments()
-    opening: list[SlowInput] = [SpacecraftChange(ground.spacecraft, 1), documents.add_plan(ground.carriers)]
+    opening: list[inputs.SlowInput] = [
+        inputs.SpacecraftChange(ground.spacecraft, 1),
+        documents.add_plan(ground.carriers),
+    ]
     opening.append(documents.add_ephemeris(ground.ephemeris))
     documents.calibrations[1] = calibrate(ground, documents.plans[1], documents.ephemerides[1])
     entries = slow_entries(ground, documents)
@@ -198,7 +248,7 @@ def open_chain(ground: Ground, config: ChainConfig | None = None, recorder: RowR
     before = [entry.content for entry in entries if entry.epoch_us < start_us]
     documents.alignments[1] = align(ground, documents)
     chain = Chain(documents, config or ChainConfig(), recorder=recorder)
-    for content in (*opening, CalibrationActivation(1, 1), *before, AlignmentSet(1)):
+    for content in (*opening, inputs.CalibrationActivation(1, 1), *before, inputs.AlignmentSet(1)):
         chain.update(content)
     return OpenedChain(chain, documents, entries[len(before) :])
 
@@ -244,8 +294,8 @@ def calibration_input(
         ground.spacecraft,
         row_measurements=still.usual_measurements,
         quiet_first_dbm=still.first_dbm,
-        telemetry=tuple(e.content for e in ground.events if isinstance(e.content, TelemetryRecord)),
-        polarization=tuple(e.content for e in ground.events if isinstance(e.content, PolarizationRecord)),
+        telemetry=tuple(e.content for e in ground.events if isinstance(e.content, inputs.TelemetryRecord)),
+        polarization=tuple(e.content for e in ground.events if isinstance(e.content, inputs.PolarizationRecord)),
     )
 
 

@@ -23,34 +23,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from service.formats.ephemeris import ephemeris_from_nodes
+from service.records import catalogue, inputs
 from service.records.calibration import Window
-from service.records.catalogue import (
-    AxisTorques,
-    BodyRateSensor,
-    Carrier,
-    ControlMode,
-    ControlSettings,
-    Ephemeris,
-    FedForwardTorque,
-    Method,
-    Onboard,
-    Polarimeter,
-    Release,
-    Site,
-    Spacecraft,
-    Station,
-    Track,
-    WheelMomentum,
-)
 from service.records.epoch import parse_epoch
-from service.records.inputs import (
-    Correction,
-    Operation,
-    PolarizationRecord,
-    SourceSelection,
-    TelemetryRecord,
-    WeatherReport,
-)
 from service.records.levels.attitude import Axes, BoolArray, FloatArray, IntArray
 from service.records.levels.measurement import MeasurementSeries, ReferenceSeries
 from service.study.estimation.flight.motion_statistics import NOTHING_MEASURED, TrueMotion, read_motion_statistics
@@ -59,15 +34,15 @@ from service.study.estimation.flight.motion_statistics import NOTHING_MEASURED, 
 Body = dict[str, Any]
 
 
-def read_spacecraft(body: Body) -> Spacecraft:
+def read_spacecraft(body: Body) -> catalogue.Spacecraft:
     """Return the spacecraft of a ``spacecraft`` line."""
     control = body["control"]
     first, second, third = (tuple(float(element) for element in row) for row in body["inertia_kg_m2"])
-    return Spacecraft(
+    return catalogue.Spacecraft(
         id=body["id"],
         name=body["name"],
         longitude_deg=float(body["longitude_deg"]),
-        receiving_site=Site(**body["receiving_site"]),
+        receiving_site=catalogue.Site(**body["receiving_site"]),
         inertia_kg_m2=(
             (first[0], first[1], first[2]),
             (second[0], second[1], second[2]),
@@ -77,48 +52,54 @@ def read_spacecraft(body: Body) -> Spacecraft:
         cospar_id=body["cospar_id"],
         simulated=body["simulated"],
         onboard=_onboard(body["onboard"]),
-        polarimeters=tuple(Polarimeter(**stated) for stated in body.get("polarimeters", ())),
-        control=ControlSettings(Method(control["method"]), ControlMode(control["mode"]), Release(control["release"])),
+        polarimeters=tuple(catalogue.Polarimeter(**stated) for stated in body.get("polarimeters", ())),
+        control=catalogue.ControlSettings(
+            catalogue.Method(control["method"]),
+            catalogue.ControlMode(control["mode"]),
+            catalogue.Release(control["release"]),
+        ),
     )
 
 
-def _onboard(body: Body) -> Onboard:
+def _onboard(body: Body) -> catalogue.Onboard:
     """Return what the catalogue states of the spacecraft on board."""
     stated, rates = body.get("momentum"), body.get("rate_sensor")
     if rates is not None:
-        body = {**body, "rate_sensor": BodyRateSensor(**rates)}
+        body = {**body, "rate_sensor": catalogue.BodyRateSensor(**rates)}
     if stated is None:
-        return Onboard(**body)
+        return catalogue.Onboard(**body)
     # a flown spacecraft states none: what gathers in its wheels is the profile that is fed forward
     torque = None if stated.get("torque") is None else read_torque(stated["torque"])
-    return Onboard(**{**body, "momentum": WheelMomentum(**{**stated, "torque": torque})})
+    return catalogue.Onboard(**{**body, "momentum": catalogue.WheelMomentum(**{**stated, "torque": torque})})
 
 
-def read_torque(body: Body) -> FedForwardTorque:
+def read_torque(body: Body) -> catalogue.FedForwardTorque:
     """Return the profile of a torque."""
-    return FedForwardTorque(
+    return catalogue.FedForwardTorque(
         epoch_us=parse_epoch(body["epoch"]),
         period_s=body["period_s"],
-        constant_n_m=AxisTorques(**body["constant_n_m"]),
-        cosine_n_m=AxisTorques(**body["cosine_n_m"]),
-        sine_n_m=AxisTorques(**body["sine_n_m"]),
+        constant_n_m=catalogue.AxisTorques(**body["constant_n_m"]),
+        cosine_n_m=catalogue.AxisTorques(**body["cosine_n_m"]),
+        sine_n_m=catalogue.AxisTorques(**body["sine_n_m"]),
         relative_error=body["relative_error"],
         axis_relative_error=body["axis_relative_error"],
     )
 
 
-def read_carriers(body: Body) -> tuple[Carrier, ...]:
+def read_carriers(body: Body) -> tuple[catalogue.Carrier, ...]:
     """Return the carriers of a ``carriers`` line in their order."""
     return tuple(
-        Carrier(**{**carrier, "station": None if carrier["station"] is None else Station(**carrier["station"])})
+        catalogue.Carrier(
+            **{**carrier, "station": None if carrier["station"] is None else catalogue.Station(**carrier["station"])}
+        )
         for carrier in body["carriers"]
     )
 
 
-def read_ephemeris(body: Body) -> Ephemeris:
+def read_ephemeris(body: Body) -> catalogue.Ephemeris:
     """Return the ephemeris of an ``ephemeris`` line."""
     reported = body["track"]
-    track = Track(
+    track = catalogue.Track(
         tuple(parse_epoch(epoch) for epoch in reported["epochs"]),
         tuple(reported["latitude_deg"]),
         tuple(reported["longitude_deg"]),
@@ -127,10 +108,10 @@ def read_ephemeris(body: Body) -> Ephemeris:
     return ephemeris_from_nodes(nodes_us, body["nodal_period_s"], track)
 
 
-def read_operation(body: Body, number: int) -> Operation:
+def read_operation(body: Body, number: int) -> inputs.Operation:
     """Return the operation of an ``operations`` line under a number of the study's own."""
     angles = body.get("attitude_uncertainty_deg")
-    return Operation(
+    return inputs.Operation(
         id=number,
         kind=body["kind"],
         start_us=parse_epoch(body["start"]),
@@ -143,10 +124,10 @@ def read_operation(body: Body, number: int) -> Operation:
     )
 
 
-def read_telemetry(body: Body) -> tuple[TelemetryRecord, ...]:
+def read_telemetry(body: Body) -> tuple[inputs.TelemetryRecord, ...]:
     """Return the records of a ``telemetry`` line."""
     return tuple(
-        TelemetryRecord(
+        inputs.TelemetryRecord(
             parse_epoch(record["epoch"]),
             record["onboard_mode"],
             tuple(record["wheel_momentum_n_m_s"]) if "wheel_momentum_n_m_s" in record else None,
@@ -157,10 +138,10 @@ def read_telemetry(body: Body) -> tuple[TelemetryRecord, ...]:
     )
 
 
-def read_polarization(body: Body) -> tuple[PolarizationRecord, ...]:
+def read_polarization(body: Body) -> tuple[inputs.PolarizationRecord, ...]:
     """Return the records of a ``polarization`` line."""
     return tuple(
-        PolarizationRecord(
+        inputs.PolarizationRecord(
             body["source"], parse_epoch(record["epoch"]), **{k: v for k, v in record.items() if k != "epoch"}
         )
         for record in body["records"]
@@ -186,14 +167,14 @@ class GroundEvent(NamedTuple):
 
     reported_us: int
     content: (
-        tuple[Carrier, ...]
-        | Ephemeris
-        | Operation
-        | TelemetryRecord
-        | WeatherReport
-        | PolarizationRecord
-        | SourceSelection
-        | Correction
+        tuple[catalogue.Carrier, ...]
+        | catalogue.Ephemeris
+        | inputs.Operation
+        | inputs.TelemetryRecord
+        | inputs.WeatherReport
+        | inputs.PolarizationRecord
+        | inputs.SourceSelection
+        | inputs.Correction
     )
 
 
@@ -201,13 +182,13 @@ class GroundEvent(NamedTuple):
 class Ground:
     """Knowledge and measurements of the ground."""
 
-    spacecraft: Spacecraft
+    spacecraft: catalogue.Spacecraft
     #: plan and ephemeris at the start
-    carriers: tuple[Carrier, ...]
-    ephemeris: Ephemeris
+    carriers: tuple[catalogue.Carrier, ...]
+    ephemeris: catalogue.Ephemeris
     #: corrections among them
     events: tuple[GroundEvent, ...]
-    corrections: tuple[Correction, ...]
+    corrections: tuple[inputs.Correction, ...]
     phases: dict[str, Window]
     #: names of the columns of ``power_dbm``: carriers of every plan
     carrier_ids: tuple[str, ...]
@@ -366,7 +347,7 @@ def _ground(arrays: Arrays) -> Ground:
         carriers=read_carriers(lines["carriers"]),
         ephemeris=read_ephemeris(lines["ephemeris"]),
         events=(*corrections, *_ground_events(arrays)),
-        corrections=tuple(events.content for events in corrections if isinstance(events.content, Correction)),
+        corrections=tuple(events.content for events in corrections if isinstance(events.content, inputs.Correction)),
         phases={str(name): Window(int(start), int(stop)) for name, start, stop in spans},
         carrier_ids=tuple(str(name) for name in arrays["carrier_id"]),
         epochs_us=arrays["epoch_us"],
@@ -408,14 +389,14 @@ def _ground_events(arrays: Arrays) -> Iterator[GroundEvent]:
         elif kind == "polarization":
             yield from (GroundEvent(reported_us, record) for record in read_polarization(body))
         elif kind == "source":
-            yield GroundEvent(reported_us, SourceSelection(body["source"], number))
+            yield GroundEvent(reported_us, inputs.SourceSelection(body["source"], number))
 
 
 def _corrections(arrays: Arrays) -> tuple[GroundEvent, ...]:
     """Return the announced corrections with the epochs at which they are announced."""
     spans = zip(arrays["correction_start_us"].tolist(), arrays["correction_stop_us"].tolist(), strict=True)
     changes = _by_axis(arrays, "correction_").tolist()
-    records = [Correction(*span, Axes(*change)) for span, change in zip(spans, changes, strict=True)]
+    records = [inputs.Correction(*span, Axes(*change)) for span, change in zip(spans, changes, strict=True)]
     reported_us = arrays["correction_told_us"].tolist()
     return tuple(GroundEvent(reported, record) for reported, record in zip(reported_us, records, strict=True))
 

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 from analyzer_sim.epochs import US_PER_S
 from analyzer_sim.plant.plant import fed_forward_line
-from analyzer_sim.world.ground.ground_bodies import spacecraft_body
+from analyzer_sim.world.ground.ground import spacecraft_body
 from analyzer_sim.world.orbit import EARTH_RATE_RAD_S
 from analyzer_sim.world.payload.level_terms import sensitivity_db_per_deg
 from analyzer_sim.world.scenario.scenario import scenario_named

@@ -14,8 +14,7 @@ from simulated_gain import attitude_gain_db
 from analyzer_sim.epochs import epoch_us_from_text
 from analyzer_sim.export import measured_dbm
 from analyzer_sim.world.faults import cooling, wet_antenna_db
-from analyzer_sim.world.ground.ground import chunks_of, turn_operations
-from analyzer_sim.world.ground.ground_bodies import spacecraft_body
+from analyzer_sim.world.ground.ground import chunks_of, spacecraft_body, turn_operations
 from analyzer_sim.world.payload.carriers import PLANS
 from analyzer_sim.world.payload.effects import FaultFlag, Operation
 from analyzer_sim.world.payload.level_terms import dishes_loss_db

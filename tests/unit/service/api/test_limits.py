@@ -10,9 +10,8 @@ from random import Random
 import pytest
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 
-from service.api.limits.body_limit import BodyLimit
 from service.api.limits.http_protocol import SPARE_PLACES, Connections
-from service.api.limits.rate_limits import MAX_ADDRESSES, RateClass, RateLimitConfig, RateLimits, network_of
+from service.api.limits.rate_limits import MAX_ADDRESSES, BodyLimit, RateClass, RateLimitConfig, RateLimits, network_of
 from service.api.problems.problems import RequestProblemError
 
 pytestmark = pytest.mark.anyio

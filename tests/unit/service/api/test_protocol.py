@@ -13,8 +13,14 @@ from pydantic import BaseModel, TypeAdapter
 
 from service.api.problems.problems import MAX_FAULTS, RequestProblemError, faults_of, pointer_of
 from service.api.protocol import requests
-from service.api.protocol.epochs import EpochTextError, parse_epochs
-from service.api.protocol.paging import EVERYTHING, decode_cursor, encode_cursor, window_of
+from service.api.protocol.paging import (
+    EVERYTHING,
+    EpochTextError,
+    decode_cursor,
+    encode_cursor,
+    parse_epochs,
+    window_of,
+)
 from service.api.protocol.requests import MOST_VALUES, UnsatisfiableRangeError, decode, merge, read_body, wanted_range
 from service.api.schemas.inputs import ReferenceBatchDocument
 from service.api.schemas.measurements import MeasurementBatchDocument

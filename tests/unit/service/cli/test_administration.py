@@ -23,10 +23,10 @@ from typer.testing import CliRunner
 
 from db.storage import SqlStorage
 from service.cli.app import app
+from service.cli.command_group import state_folder
 from service.cli.operation import connection
 from service.cli.operation.profile import read_profile
-from service.cli.station.acquire import JsonLines, acquire
-from service.cli.station.state_folder import state_folder
+from service.cli.station.acquire import acquire
 from service.records.catalogue import Carrier, Site, Spacecraft
 from service.records.levels.measurement import MeasurementBatch
 from service.records.operations.access import AuditEvent
@@ -446,11 +446,12 @@ def run(task: dict[str, Any], tmp_path: Path, *options: str, key: str = "secret"
 
 @pytest.fixture(autouse=True)
 def _restored_log() -> Any:
-    """Give the service's logger back as it was."""
-    root = logging.getLogger("service")
-    before = (root.handlers, root.level)
+    """Give the log of the process back as it was."""
+    root = logging.getLogger()
+    before = (root.handlers[:], root.level)
     yield
-    root.handlers, root.level = before
+    root.handlers[:], root.level = before
+    logging.captureWarnings(capture=False)
 
 
 @pytest.mark.parametrize(
@@ -468,14 +469,3 @@ def test_wrong_input_ends_with_two_and_its_reason(
     code, output = run(task, tmp_path, *options, key=key)
     assert code == 2
     assert message in output
-
-
-def test_a_log_line_is_one_object() -> None:
-    record = logging.LogRecord("service.x", logging.WARNING, "f", 1, "level %d", (3,), None)
-    record.created = 1.5
-    assert json.loads(JsonLines().format(record)) == {
-        "time": "1970-01-01T00:00:01.500000Z",
-        "level": "warning",
-        "logger": "service.x",
-        "message": "level 3",
-    }

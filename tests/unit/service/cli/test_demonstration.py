@@ -18,14 +18,13 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from service.cli.app import app
-from service.cli.demonstration import invitation
+from service.cli.demonstration import persons
+from service.cli.demonstration.demo import RunningDemonstration, published, running_demonstration
 from service.cli.demonstration.demo_screen import Presenter, operation_screen
-from service.cli.demonstration.invitation import commands_to_try, offer_archive, program
-from service.cli.demonstration.persons import Person, two_persons, write_key
-from service.cli.demonstration.running import RunningDemonstration, published, running_demonstration
+from service.cli.demonstration.persons import Person, commands_to_try, offer_archive, program, two_persons, write_key
 from service.records.epoch import parse_epoch
-from service.study.demonstration.closed_judgement import FlightAlone
 from service.study.demonstration.demonstration import Scene, Story
+from service.study.demonstration.judgement import FlightAlone
 
 
 @pytest.fixture
@@ -52,8 +51,8 @@ def answered(monkeypatch):
                 raise typer.Abort
             return str(answer)
 
-        monkeypatch.setattr(invitation.typer, "prompt", prompt)
-        monkeypatch.setattr(invitation.sys.stdin, "isatty", lambda: True, raising=False)
+        monkeypatch.setattr(persons.typer, "prompt", prompt)
+        monkeypatch.setattr(persons.sys.stdin, "isatty", lambda: True, raising=False)
 
     yield play
     signal.signal(signal.SIGINT, former)

@@ -32,6 +32,7 @@ from service.cli.importing.manifest import (
     read_stated,
     write_manifest,
 )
+from service.cli.operation import connection
 from service.client.service_client import ServiceClient
 from service.formats.foreign.columns import PowersStatement as PowersSection
 from service.formats.foreign.table import ForeignTableError
@@ -147,7 +148,7 @@ def service(monkeypatch: pytest.MonkeyPatch) -> Service:
     def connected_client(service: str, key: str, **_: object) -> ServiceClient:
         return ServiceClient("http://service", key, retries=0, http=client)
 
-    real = command.connected
+    real = connection.connected
 
     @contextmanager
     def connected(*given: Any, **options: Any) -> Iterator[Any]:
@@ -156,7 +157,7 @@ def service(monkeypatch: pytest.MonkeyPatch) -> Service:
             with real(*given, **options) as found:
                 yield found
 
-    monkeypatch.setattr(command, "connected", connected)
+    monkeypatch.setattr(connection, "connected", connected)
     return made
 
 
@@ -174,7 +175,7 @@ def folder(tmp_path: Path) -> Path:
 
 def run(folder: Path, *options: str) -> Result:
     """Run the command."""
-    return CliRunner().invoke(command.app, [str(folder), *options])
+    return CliRunner().invoke(command.import_app, [str(folder), *options])
 
 
 def propose(folder: Path, *stated: str) -> dict[str, Any]:
@@ -495,7 +496,7 @@ def test_names_that_a_terminal_cannot_show_do_not_end_a_proposal(tmp_path: Path,
 
 
 @pytest.mark.parametrize(
-    ("words", "completed"), [("soo pu", "put"), ("soo put pow", "powers"), ("soo put --time-f", "--time-format")]
+    ("words", "completed"), [("soo pu", "put"), ("soo put pow", "powers"), ("soo put --refuse", "--refuse-unknown")]
 )
 def test_a_shell_completes_commands_kinds_and_options(words: str, completed: str) -> None:
     done = soo(_SOO_COMPLETE="complete_bash", COMP_WORDS=words, COMP_CWORD=str(words.count(" ")))

@@ -16,8 +16,6 @@ from typer.testing import CliRunner
 
 from service.cli.app import app
 from service.cli.operation import connection
-from service.cli.operation import operate as operate_module
-from service.cli.operation.comparison import compare as compare_module
 from service.cli.operation.connection import connected
 from service.cli.operation.profile import ProfileError, UserProfile, profile_path, read_profile, write_profile
 from service.records.epoch import format_epoch
@@ -303,8 +301,7 @@ class Service:
 def service(monkeypatch: pytest.MonkeyPatch) -> Service:
     made = Service()
 
-    for module in (connection, operate_module):
-        monkeypatch.setattr(module, "connected", lambda _service, _key_env: nullcontext(made))
+    monkeypatch.setattr(connection, "connected", lambda _service, _key_env: nullcontext(made))
     return made
 
 
@@ -397,7 +394,7 @@ def held(monkeypatch):
         return {"start": start, "stop": stop}
 
     client = SimpleNamespace(attitude_history=history, replay=replay)
-    monkeypatch.setattr(compare_module, "connected", lambda *_: nullcontext(client))
+    monkeypatch.setattr(connection, "connected", lambda *_: nullcontext(client))
     return SimpleNamespace(rows=rows, asked=asked)
 
 

@@ -17,9 +17,9 @@ from typer.testing import CliRunner
 
 from service.cli.importing.catalogue import read_plan
 from service.cli.importing.manifest import write_manifest
-from service.cli.planning import plan as plan_module
+from service.cli.operation import connection
 from service.cli.planning.plan import plan
-from service.cli.planning.quiet_plan import read_powers
+from service.cli.planning.sources import read_powers
 from service.core.geometry.frames import station_direction
 from service.formats.carrier_plan_csv import COLUMNS
 from service.records.catalogue import CarrierPlan
@@ -246,7 +246,7 @@ def test_a_service_is_asked_for_its_calibration(
 ) -> None:
     document = reported(*files, "--far-yaw") | {"calibration_id": 7, "calibration_method": "geometry", "notes": []}
     client = FakeClient(document)
-    monkeypatch.setattr(plan_module, "connected", lambda *_: nullcontext(client))
+    monkeypatch.setattr(connection, "connected", lambda *_: nullcontext(client))
     figure = tmp_path / "map.svg"
     result = plan_run("--spacecraft", "yamal-202", "--far-yaw", "--figure", str(figure))
     assert result.exit_code == 0, result.output

@@ -14,6 +14,7 @@ from foreign_orbits import attitude_message, elements, omm_kvn, quaternion, tle
 from typer.testing import CliRunner, Result
 
 from service.cli.importing import put_command
+from service.cli.operation import connection
 from service.client.service_client import ServiceClient
 
 SITE = {"name": "Shchyolkovo", "latitude_deg": 55.92, "longitude_deg": 38.0, "height_m": 160.0}
@@ -36,7 +37,7 @@ CARRIER = {
     "bandwidth_hz": 1250000.0,
 }
 FIRST = datetime(2026, 3, 21, tzinfo=UTC)
-PAST = ("--tz", "UTC", "--last-day", "2026-03-21")
+PAST = ("--state", "tz=UTC", "--state", "last_day=2026-03-21")
 
 
 class Catalogue:
@@ -73,7 +74,7 @@ def service(monkeypatch: pytest.MonkeyPatch) -> Catalogue:
     def connected(*_: object, **__: object) -> ServiceClient:
         return ServiceClient("http://service", "key", retries=0, http=httpx.MockTransport(made.handle))
 
-    monkeypatch.setattr(put_command, "connected", connected)
+    monkeypatch.setattr(connection, "connected", connected)
     return made
 
 
@@ -181,13 +182,13 @@ def test_an_orbit_is_shown_and_stored(service: Catalogue, tmp_path: Path, form: 
     path = write(tmp_path, form(elements(49.0)))
     steep = put("ephemeris", path)
     assert (steep.exit_code, "state inclined if that is so" in steep.output) == (2, True)
-    dry = put("ephemeris", path, "--dry-run", "--json", "--inclined")
+    dry = put("ephemeris", path, "--dry-run", "--json", "--state", "inclined=true")
     assert (dry.exit_code, service.sent) == (0, []), dry.output
     understood = json.loads(dry.output)["understood"]
     assert understood["object"] == "YAMAL 202"
     assert understood["mean_longitude_deg_east"] == pytest.approx(49.0, abs=1.0)
     assert understood["is_over"] is False
-    assert put("ephemeris", path, "--inclined").exit_code == 0
+    assert put("ephemeris", path, "--state", "inclined=true").exit_code == 0
     ((method, name, body),) = service.sent
     assert (method, name, list(body)[-1]) == ("PUT", "ephemeris", "tle" if form is not omm_kvn else "track")
 
@@ -202,7 +203,7 @@ def test_the_orbit_of_another_satellite_is_refused(service: Catalogue, tmp_path:
     assert done.exit_code == 2
     assert "the orbit of another satellite: the mean longitude over a day is" in done.output
     assert service.sent == []
-    assert put("ephemeris", far, "--relocating", "--inclined").exit_code == 0
+    assert put("ephemeris", far, "--state", "relocating=true", "--state", "inclined=true").exit_code == 0
     assert service.sent[0][2]["relocating"] is True
 
 
@@ -233,7 +234,7 @@ def tracking_message(power_dbw: list[float]) -> str:
 
 def test_readings_of_a_table_and_of_a_message_reach_the_service(service: Catalogue, tmp_path: Path) -> None:
     path = sensor_csv(tmp_path / "star.csv", ["pitch_deg", "yaw_deg", "roll_deg"], (2, 0, 1))
-    done = put("references", path, *PAST, "--sigma-deg", "yaw=0.02", "--sigma-deg", "roll=0.01")
+    done = put("references", path, *PAST, "--state", "sigma_deg={yaw: 0.02, roll: 0.01}")
     assert done.exit_code == 0, done.output
     assert "not checked" in done.output
     by_table = service.sent.pop()[2]
@@ -261,7 +262,7 @@ def test_readings_of_a_table_and_of_a_message_reach_the_service(service: Catalog
 
 
 def test_powers_of_a_tracking_message_reach_the_service(service: Catalogue, tmp_path: Path) -> None:
-    stated = (*PAST[2:], "--source", "ground-2", "--state", str(tmp_path))
+    stated = (*PAST[2:], "--source", "ground-2", "--progress", str(tmp_path))
     message = tracking_message([-52.1, -52.3, -51.9])
     done = put("powers", write(tmp_path, message, "powers.tdm"), *stated)
     assert done.exit_code == 0, done.output
@@ -278,25 +279,25 @@ def test_what_must_be_stated_of_a_sensor_is_printed(service: Catalogue, tmp_path
     path = sensor_csv(tmp_path / "star.csv", ["yaw", "roll", "pitch"], (0, 1, 2))
     done = put("references", path)
     assert done.exit_code == 2
-    assert done.output.splitlines()[-1].endswith("--tz UTC --unit deg --last-day 2026-03-21")
-    assert put("references", path, *PAST, "--unit", "deg", "--dry-run").exit_code == 0
+    assert done.output.splitlines()[-1].endswith("--state tz=UTC --state unit=deg --state last_day=2026-03-21")
+    assert put("references", path, *PAST, "--state", "unit=deg", "--dry-run").exit_code == 0
     assert service.sent == []
 
 
 def test_readings_that_cannot_be_are_refused(service: Catalogue, tmp_path: Path) -> None:
     header, order = ["yaw_deg", "roll_deg", "pitch_deg"], (0, 1, 2)
     ahead = sensor_csv(tmp_path / "ahead.csv", header, order, datetime.now(UTC) + timedelta(hours=3))
-    done = put("references", ahead, "--tz", "UTC")
+    done = put("references", ahead, "--state", "tz=UTC")
     assert done.exit_code == 2
     assert "ahead of now" in done.output
     # degrees that somebody calls radians
     mistaken = sensor_csv(tmp_path / "mistaken.csv", ["yaw", "roll", "pitch"], order)
     lines = mistaken.read_text().splitlines()
     mistaken.write_text("\n".join((lines[0], *(f"{line.rpartition(',')[0]},0.4" for line in lines[1:]))) + "\n")
-    done = put("references", mistaken, *PAST, "--unit", "rad")
+    done = put("references", mistaken, *PAST, "--state", "unit=rad")
     assert done.exit_code == 2
     assert "beyond the Earth's disc" in done.output
-    assert put("references", mistaken, *PAST, "--unit", "deg", "--sigma-deg", "tilt=1").exit_code == 2
+    assert put("references", mistaken, *PAST, "--state", "unit=deg", "--state", "sigma_deg={tilt: 1}").exit_code == 2
     assert service.sent == []
 
 
@@ -337,5 +338,5 @@ def test_a_catalogue_that_no_satellite_has_must_be_confirmed(
     path = write(tmp_path, content)
     done = put(kind, path)
     assert (done.exit_code, message in done.output, service.sent) == (2, True, []), done.output
-    assert put(kind, path, "--confirmed").exit_code == 0
+    assert put(kind, path, "--state", "confirmed=true").exit_code == 0
     assert len(service.sent) == 1

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from service.client.backoff import Backoff
-from service.frontend.acquisition import acquisition as module
-from service.frontend.acquisition.acquisition import SETTLE_S, Acquisition, EpochGuard
+from service.frontend import station as module
 from service.frontend.acquisition.evaluation import MeasuredRow
 from service.frontend.acquisition.states import (
     ACTIONS,
@@ -24,8 +23,8 @@ from service.frontend.drivers.dialects import Features, SweepRefusedError
 from service.frontend.drivers.scpi import AnalyzerMessage, Identity
 from service.frontend.drivers.visa_session import AnalyzerIOError
 from service.frontend.measurement_task import MeasurementTask, parse_task
-from service.records.levels.measurement import QualityFlag
-from service.records.levels.sweep import Sweep, SweepSettings
+from service.frontend.station import SETTLE_S, Acquisition, EpochGuard
+from service.records.levels.measurement import QualityFlag, Sweep, SweepSettings
 
 
 def task(**analyzer: Any) -> MeasurementTask:
@@ -198,7 +197,7 @@ def test_a_fault_opens_another_session_and_marks_the_next_row(
 def test_connecting_is_tried_again_with_growing_waits(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    caplog.set_level(logging.INFO, logger="service.frontend.acquisition.acquisition")
+    caplog.set_level(logging.INFO, logger="service.frontend.station")
     script = Script()
     script.open_faults = [AnalyzerIOError("refused")] * 3
     measured(monkeypatch, script)

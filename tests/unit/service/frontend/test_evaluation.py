@@ -10,8 +10,7 @@ from service.core.radio.carrier_power import GAUSSIAN_ENBW_RATIO
 from service.frontend.acquisition.evaluation import TaskEvaluation, level_offset_db
 from service.frontend.measurement_task import InputPart, MeasurementTask, parse_task
 from service.frontend.upload.plan_binding import PlanMismatchError, bind_plan
-from service.records.levels.measurement import QualityFlag
-from service.records.levels.sweep import Sweep, SweepSettings
+from service.records.levels.measurement import QualityFlag, Sweep, SweepSettings
 
 ENBW_HZ = 30e3 * GAUSSIAN_ENBW_RATIO
 SETTINGS = SweepSettings(950e6, 990e6, 4001, 30e3, ENBW_HZ, 300e3, 2.0, "RMS")

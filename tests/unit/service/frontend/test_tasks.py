@@ -8,9 +8,8 @@ import pytest
 
 from service.frontend.acquisition.evaluation import TaskEvaluation
 from service.frontend.measurement_task import MeasurementTask, TaskError, load_task, parse_task
-from service.frontend.tasks.station_file import load_station
-from service.frontend.tasks.task_plan import cycle_s, plan_task, plan_with_zoom, recheck, zoom_rbw_hz
-from service.records.levels.sweep import SweepSettings
+from service.frontend.tasks.task_plan import cycle_s, load_station, plan_task, plan_with_zoom, recheck, zoom_rbw_hz
+from service.records.levels.measurement import SweepSettings
 
 
 def written(folder: Path, document: Any) -> Path:

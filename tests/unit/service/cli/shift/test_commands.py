@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from service.cli.app import app
 from service.cli.operation import connection
-from service.cli.shift import handover, torque, watch
+from service.cli.shift import control
 from service.client.problem import ProblemError, ServiceUnavailableError
 
 HOSTILE = "\x1b[2J\u009b31m\u202e"
@@ -17,7 +17,7 @@ HOSTILE = "\x1b[2J\u009b31m\u202e"
 
 @pytest.fixture
 def service(documents: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
-    for module in (connection, handover, torque, watch):
+    for module in (connection, control):
         monkeypatch.setattr(module, "connected", lambda _service, _key_env, **_: nullcontext(documents))
     return documents
 

@@ -6,9 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from docs.reference_pages import alarm_diagram
 from service.pipeline.alarms.alarm_engine import AlarmEngine, Readings
-from service.pipeline.alarms.conditions import condition_table
-from service.pipeline.alarms.limit_sets import DEFAULT_SETS, SETS, AlarmContext, context, faults_of, limits_in_force
+from service.pipeline.alarms.conditions import (
+    DEFAULT_SETS,
+    SETS,
+    AlarmContext,
+    condition_table,
+    context,
+    faults_of,
+    limits_in_force,
+)
 from service.pipeline.alarms.states import (
     COVERS,
     PROCESS,
@@ -19,7 +27,6 @@ from service.pipeline.alarms.states import (
     Kind,
     Origin,
     described,
-    diagram,
     limit_of,
     next_cover,
     next_process,
@@ -435,7 +442,7 @@ def test_shelving_stands_above_suppression():
 
 
 def test_the_diagram_draws_every_change_of_state_once():
-    drawn = diagram()
+    drawn = alarm_diagram()
     for state, row in PROCESS.items():
         for target in set(row.values()) - {state}:
             names = ", ".join(event.name for event in AlarmEvent if row[event] is target)

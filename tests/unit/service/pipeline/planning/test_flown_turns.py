@@ -13,8 +13,7 @@ from service.pipeline.calibration.geometry_rows import CalibrationError
 from service.pipeline.calibration.minute_rows import minute_rows
 from service.pipeline.config import CalibrationConfig
 from service.pipeline.planning.assumed_beams import NOISES, AssumedBeam, assume_payload
-from service.pipeline.planning.flown_turns import flown_windows
-from service.pipeline.planning.quiet_days import QuietDays, quiet_levels
+from service.pipeline.planning.quiet_days import QuietDays, flown_windows, quiet_levels
 from service.pipeline.planning.rehearsal import rehearse
 from service.records.catalogue import CarrierPlan
 from service.study.estimation.flight.world import simulated_world

@@ -25,15 +25,18 @@ from service.pipeline.planning.assumed_beams import (
     contour_beams,
     offered_sites,
 )
-from service.pipeline.planning.candidates import (
+from service.pipeline.planning.planning import (
     GONE,
+    MOST_FURTHER,
     NOT_MEASURED,
     NOT_USABLE,
+    Rule,
     candidates_of,
     motion_gain,
+    recommend,
     stated_wheels,
+    turn_timetable,
 )
-from service.pipeline.planning.planning import MOST_FURTHER, Rule, recommend, turn_timetable
 from service.pipeline.planning.quiet_days import (
     ALLAN_SPANS_S,
     QuietDays,

@@ -51,15 +51,18 @@ from service.study.closed_loop.centre import Centre
 from service.study.closed_loop.controllers import LEAD_S, ByTruth, Idle, Sensing, postponed
 from service.study.closed_loop.figures import draw_campaign
 from service.study.closed_loop.ground_knowledge import AXIS_RELATIVE_ERROR, RELATIVE_ERROR, ground_of
-from service.study.closed_loop.merit import MEASURED_SCENARIO, UNKNOWN_TORQUE_SCENARIOS, group_merit, run_merit
 from service.study.closed_loop.plant_process import CommandReport, PlantProcess, SpacecraftTruth
 from service.study.closed_loop.run import (
     COMMAND_PERIOD_S,
     LOOP_PERIOD_S,
+    MEASURED_SCENARIO,
+    UNKNOWN_TORQUE_SCENARIOS,
     FlownRun,
     LoopResult,
     LoopUnit,
     flown_spacecraft,
+    group_merit,
+    run_merit,
 )
 
 S = 1_000_000

@@ -9,18 +9,20 @@ import pytest
 from service.api.schemas.catalogue import SpacecraftDocument
 from service.records.epoch import format_epoch
 from service.study.demonstration import demonstration
-from service.study.demonstration.closed_judgement import (
-    TRUTH_BOUNDS_DEG,
-    FlightAlone,
-    judge_control,
-    missed_control,
-    within_bounds_since_us,
-)
-from service.study.demonstration.control_centre import ControlLog
+from service.study.demonstration.control_centre import AXES, ControlLog
 from service.study.demonstration.demonstration import ProcessAddresses, Story, run_story
 from service.study.demonstration.figures import draw_control
-from service.study.demonstration.judgement import TrackedAngles
-from service.study.demonstration.merit import AXES, AxisMerit, judge_axis, missed_bounds
+from service.study.demonstration.judgement import (
+    TRUTH_BOUNDS_DEG,
+    AxisMerit,
+    FlightAlone,
+    TrackedAngles,
+    judge_axis,
+    judge_control,
+    missed_control,
+    missed_figures,
+    within_bounds_since_us,
+)
 
 MINUTE_US = 60_000_000
 START_US = 1_793_491_200_000_000
@@ -372,13 +374,13 @@ def test_nothing_to_judge_is_nan_and_misses_every_bound(present):
     estimate[:present] = 0.1
     nothing = judge_axis(estimate, np.linspace(0, 1, 10))
     assert np.isnan(nothing).all()
-    assert len(missed_bounds(dict.fromkeys(AXES, nothing), "paper")) == 7
+    assert len(missed_figures(dict.fromkeys(AXES, nothing), "paper")) == 7
 
 
 def test_the_answer_that_never_moves_misses_the_bounds():
     zero = judge_axis(np.zeros(len(TRUTH)), TRUTH)
     assert zero.skill == pytest.approx(0.0, abs=1e-12)
-    missed = missed_bounds(dict.fromkeys(AXES, zero), "paper")
+    missed = missed_figures(dict.fromkeys(AXES, zero), "paper")
     assert [text.split(" ")[0:2] for text in missed] == [
         ["roll", "rms"],
         ["roll", "slope"],
@@ -388,10 +390,10 @@ def test_the_answer_that_never_moves_misses_the_bounds():
 
 
 def test_good_figures_miss_nothing_and_bounds_are_inclusive():
-    assert missed_bounds(merits(), "paper") == []
-    assert missed_bounds(merits(), "robust") == []
-    assert missed_bounds(merits(roll=AxisMerit(0.08, 0.2, 0.12, 0.5, 1.0)), "paper") == []
-    assert missed_bounds(merits(roll=AxisMerit(0.03, 0.2, 0.12, 0.5, 1.04)), "robust") == []
+    assert missed_figures(merits(), "paper") == []
+    assert missed_figures(merits(), "robust") == []
+    assert missed_figures(merits(roll=AxisMerit(0.08, 0.2, 0.12, 0.5, 1.0)), "paper") == []
+    assert missed_figures(merits(roll=AxisMerit(0.03, 0.2, 0.12, 0.5, 1.04)), "robust") == []
 
 
 @pytest.mark.parametrize(
@@ -409,21 +411,21 @@ def test_good_figures_miss_nothing_and_bounds_are_inclusive():
     ],
 )
 def test_each_bound_is_named_when_it_is_missed(method, axis, changes, text):
-    assert missed_bounds(merits(**{axis: GOOD._replace(**changes)}), method) == [text]
+    assert missed_figures(merits(**{axis: GOOD._replace(**changes)}), method) == [text]
 
 
 def test_yaw_of_the_paper_method_is_shown_and_not_bounded():
-    assert missed_bounds(merits(yaw=GOOD._replace(rms_deg=9.0, slope=0.0)), "paper") == []
+    assert missed_figures(merits(yaw=GOOD._replace(rms_deg=9.0, slope=0.0)), "paper") == []
 
 
 def test_a_craft_that_is_kept_still_is_judged_by_its_errors_alone():
     still = AxisMerit(0.02, 0.04, 0.02, 0.0, 0.1)
     far = AxisMerit(0.5, 0.9, 0.02, -600.0, 0.1)
-    assert missed_bounds(merits(yaw=still, roll=still, pitch=still), "robust", is_moved=False) == []
-    assert missed_bounds(merits(yaw=still, roll=far, pitch=still), "robust", is_moved=False) == [
+    assert missed_figures(merits(yaw=still, roll=still, pitch=still), "robust", is_moved=False) == []
+    assert missed_figures(merits(yaw=still, roll=far, pitch=still), "robust", is_moved=False) == [
         "roll rms 0.500 deg above 0.03"
     ]
-    assert len(missed_bounds(merits(yaw=still, roll=still, pitch=still), "robust")) == 6
+    assert len(missed_figures(merits(yaw=still, roll=still, pitch=still), "robust")) == 6
 
 
 START = "2026-11-05T10:00:00Z"

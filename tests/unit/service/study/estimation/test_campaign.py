@@ -9,8 +9,7 @@ import pytest
 
 from service.study import executors
 from service.study.estimation import campaign as campaign_module
-from service.study.estimation.bound_table import BOUNDS
-from service.study.estimation.bounds import AXES, Bound, Mark, at_least, at_most
+from service.study.estimation.bounds import AXES, BOUNDS, Bound, Mark, at_least, at_most
 from service.study.estimation.campaign import (
     CampaignPlan,
     Course,
@@ -88,9 +87,9 @@ def test_a_refused_seed_misses_every_bound_of_its_scenario(judged_unit):
 
 def test_bounds_that_a_baseline_keeps_are_named(judged_unit):
     easy = [Bound("octants", "rms_deg.roll", at_most(1.0), None, "test")]
-    assert assessed([judged_unit()], bounds=easy).idle == tuple(("octants", name) for name in UNINFORMED)
+    assert assessed([judged_unit()], all_bounds=easy).idle == tuple(("octants", name) for name in UNINFORMED)
     hard = [*easy, Bound("octants", "skill.roll", at_least(0.5), None, "test")]
-    assert assessed([judged_unit()], bounds=hard).idle == ()
+    assert assessed([judged_unit()], all_bounds=hard).idle == ()
 
 
 def test_only_scenarios_that_were_run_are_judged(judged_unit):

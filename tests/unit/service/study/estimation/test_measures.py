@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.study.estimation.bound_table import BOUNDS
 from service.study.estimation.bounds import (
     AXES,
+    BOUNDS,
     Bound,
     Limit,
     Mark,
@@ -24,7 +24,7 @@ from service.study.estimation.bounds import (
     within,
 )
 from service.study.estimation.campaign import GROUPS, SNAPSHOT, CampaignPlan, assess, collect_metrics
-from service.study.estimation.flight.past import PastSeries
+from service.study.estimation.flight.drive import PastSeries
 from service.study.estimation.measures import gain_statistics, measure_gain, measure_method, statistics_of
 from service.study.estimation.report import tables
 from service.study.estimation.trials.snapshot_trials import SnapshotTrials, trial_statistics

@@ -9,10 +9,22 @@ from service.core.control.slew_schedule import Envelope, envelope_excesses
 from service.core.flexible.schedule import ScheduleLimits, TorquePulse, check_schedule
 from service.core.flexible.spacecraft import HubMode
 from service.pipeline.config import TorqueConfig
-from service.pipeline.control.command.balance import basis_at, basis_of, predicted_deg, with_executed
-from service.pipeline.control.command.compute_command import NO_CARRY, command_for, compute_command
-from service.pipeline.control.command.control_design import CONTROL_INHIBITIONS, control_inhibitions
-from service.pipeline.control.command.schedule_check import PanelSwing, schedule_verdict, swing_after
+from service.pipeline.control.command.compute_command import (
+    NO_CARRY,
+    basis_at,
+    basis_of,
+    command_for,
+    compute_command,
+    predicted_deg,
+    with_executed,
+)
+from service.pipeline.control.command.control_design import (
+    CONTROL_INHIBITIONS,
+    PanelSwing,
+    control_inhibitions,
+    schedule_verdict,
+    swing_after,
+)
 from service.pipeline.control.release.release_checks import effect_of_law
 from service.pipeline.estimation.row_inhibitions import BALANCED, INHIBITIONS
 from service.records.catalogue import ControlMode, FlexibleMode, Method, Onboard, Release, WheelSet

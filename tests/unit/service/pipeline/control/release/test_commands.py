@@ -10,7 +10,6 @@ from release_service_driver import GOOD, ReleaseServiceDriver
 from scripted_release_service import CONTROL
 
 from service.pipeline.config import InterlockConfig
-from service.pipeline.control.control_conditions import control_conditions
 from service.pipeline.control.release.advance import advance
 from service.pipeline.control.release.command_states import (
     COMMAND_TRANSITIONS,
@@ -21,7 +20,13 @@ from service.pipeline.control.release.command_states import (
     next_state,
 )
 from service.pipeline.control.release.command_transitions import pulses_between
-from service.pipeline.control.release.control_verdict import _NEXT_STEPS, CODES, control_verdict, reason_of
+from service.pipeline.control.release.control_verdict import (
+    _NEXT_STEPS,
+    CODES,
+    control_conditions,
+    control_verdict,
+    reason_of,
+)
 from service.pipeline.control.release.events import (
     Automatic,
     Cancel,

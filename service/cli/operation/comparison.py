@@ -1,4 +1,7 @@
-"""Two versions of the attitude side by side: differences, sigmas, inhibitions, a figure."""
+"""``soo compare``: two versions of the attitude history row by row.
+
+Rows belong together that have the same epoch, the first of one epoch with the first, and so on.
+"""
 
 import json
 from pathlib import Path
@@ -6,20 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.cli.command_group import end
-from service.cli.extras import require
-from service.cli.operation.connection import (
-    DEFAULT_KEY_ENVIRONMENT,
-    DEFAULT_SERVICE,
-    JsonOption,
-    KeyEnvironment,
-    ServiceUrl,
-    SpacecraftOption,
-    connected,
-)
+from service.cli.command_group import end, require
+from service.cli.operation import connection
 
 if TYPE_CHECKING:
     from service.client.service_client import ServiceClient
+
 
 _LIVE = "live"
 
@@ -27,14 +22,14 @@ _LIVE = "live"
 def compare(
     first: Annotated[str, typer.Argument(help="Version: `live`, or `replay-1` and so on.")],
     second: Annotated[str, typer.Argument(help="The other version; differences are this one minus the first.")],
-    spacecraft: SpacecraftOption,
+    spacecraft: connection.SpacecraftOption,
     start: Annotated[str | None, typer.Option(help="From here, RFC 3339; default: where both spans begin.")] = None,
     stop: Annotated[str | None, typer.Option(help="To here, exclusive; default: where the first span ends.")] = None,
     method: Annotated[str, typer.Option(help="`robust` or `paper`.")] = "robust",
     figure: Annotated[Path | None, typer.Option(help="Draw the differences into this PNG or SVG file.")] = None,
-    service: ServiceUrl = DEFAULT_SERVICE,
-    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
-    as_json: JsonOption = False,
+    service: connection.ServiceUrl = connection.DEFAULT_SERVICE,
+    key_env: connection.KeyEnvironment = connection.DEFAULT_KEY_ENVIRONMENT,
+    as_json: connection.JsonOption = False,
 ) -> None:
     """Compare the attitude of two versions row by row."""
     if first == second:
@@ -42,9 +37,9 @@ def compare(
     if figure is not None:
         require("matplotlib")
     # numpy costs more than the command line itself
-    from service.cli.operation.comparison.version_comparison import compared, document_of, rows_of
+    from service.cli.operation.version_comparison import compared, document_of, draw_comparison, rows_of
 
-    with connected(service, key_env) as client:
+    with connection.connected(service, key_env) as client:
         span = _span(client, spacecraft, (first, second), start, stop)
         found = compared(
             *(
@@ -58,9 +53,6 @@ def compare(
         end(f"{named}: no row in both, {first} has {counts[0]} and {second} has {counts[1]}; look at `soo replays`", 1)
     document = {"spacecraft": spacecraft, "method": method, "start": span[0], "stop": span[1], **document_of(found)}
     if figure is not None:
-        # matplotlib costs half a second that a comparison without a figure need not pay
-        from service.cli.operation.comparison.figure import draw_comparison
-
         try:
             draw_comparison(found, named, figure)
         except (OSError, ValueError) as error:

@@ -1,4 +1,4 @@
-"""Reference page of the dialects, made from their tables by ``python -m analyzer_sim.dialects.dialect_page``."""
+"""Reference page of the dialects, made from their tables by ``python -m docs.dialect_page``."""
 
 import sys
 import textwrap
@@ -11,7 +11,7 @@ from analyzer_sim.instrument.instrument_settings import AnalyzerModel, FilterSte
 from analyzer_sim.scpi.parameters import Boolean, Choice, Level, Numeric, Parameter, Quoted, TraceName
 
 #: what keeps the page current
-MARKDOWN_COMMAND = "python -m analyzer_sim.dialects.dialect_page"
+MARKDOWN_COMMAND = "python -m docs.dialect_page"
 _SHARED_ROWS = (*COMMON_COMMANDS, *SYSTEM_COMMANDS, *CLOCK_ROWS)
 #: parameters of a row that are written out; a list of more of one kind is shortened
 _MOST_PARAMETERS = 4

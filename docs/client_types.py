@@ -1,10 +1,15 @@
-"""Types of the client's answers, written from the OpenAPI document: ``service/client/documents.py``."""
+"""Types of the service's answers for the Python client, made of the OpenAPI document.
 
+``make schema`` writes the document, then ``python -m docs.client_types`` the types.
+"""
+
+import json
 from collections.abc import Mapping
+from pathlib import Path
 from textwrap import wrap
 from typing import Any
 
-_HEAD = '''"""Answers of the service as types, by ``make schema``; a newer service may add fields."""
+_TYPES_HEAD = '''"""Answers of the service as types, by ``make schema``; a newer service may add fields."""
 
 from typing import Any, Literal, TypedDict
 
@@ -39,7 +44,7 @@ _LINE = 120
 def client_types(document: Mapping[str, Any]) -> str:
     """Return the module with the types of the schemas in `TYPES`, formatted as ruff formats it."""
     schemas = document["components"]["schemas"]
-    return _HEAD + "".join(_class(name, schemas[schema], schemas) for schema, name in TYPES.items())
+    return _TYPES_HEAD + "".join(_class(name, schemas[schema], schemas) for schema, name in TYPES.items())
 
 
 def _class(name: str, schema: Mapping[str, Any], schemas: Mapping[str, Any]) -> str:
@@ -80,3 +85,14 @@ def _type(schema: Mapping[str, Any], schemas: Mapping[str, Any]) -> str:
         member = schema.get("additionalProperties")
         return f"dict[str, {_type(member, schemas)}]" if isinstance(member, Mapping) else "Json"
     return _PLAIN[schema["type"]]
+
+
+def main() -> None:
+    """Write the types of the stored document."""
+    root = Path(__file__).resolve().parent
+    document = json.loads((root / "reference" / "openapi.json").read_text(encoding="utf-8"))
+    (root.parent / "service" / "client" / "documents.py").write_text(client_types(document), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,1 +1,0 @@
-"""Command `soo compare`: two versions of the attitude side by side."""

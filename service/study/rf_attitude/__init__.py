@@ -1,1 +1,0 @@
-"""Reproduction of attitude from retransmitted carriers on Yamal-200 (Sevast'yanov)."""
