@@ -212,7 +212,6 @@ async def serve_changes(flown: FlownWorld, host: str, port: int) -> asyncio.Serv
 
 
 def _answer(flown: FlownWorld, line: bytes) -> dict[str, Any]:
-    """Change the world and return the answer."""
     try:
         change = flown.change(line.decode("utf-8", errors="replace"))
     except ChangeError as error:

@@ -101,12 +101,10 @@ def _ratio(rates: Rates) -> float:
 
 
 def _middle(taken: Sequence[Rate]) -> Middle:
-    """Return the medians of some measurements."""
     return Middle(statistics.median(rate.per_second for rate in taken), statistics.median(rate.p99_s for rate in taken))
 
 
 def _report(shape: Shape, rates: Rates) -> None:
-    """Print the medians."""
     print(f"POST of {shape.rows} rows x {shape.carriers} carriers, {shape.connections} connections, ", end="")
     print(f"load of the machine {os.getloadavg()[0]:.1f}")
     for kind, taken in rates.items():

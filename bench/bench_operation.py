@@ -286,7 +286,6 @@ def _printed_answer(service: Operated, *words: str) -> None:
 
 
 def _replayed(service: Operated, body: Any) -> None:
-    """Run a replay to its end."""
     job = service.post("replays", body)["job"]
     while (state := service.client.get(f"/api/v1/jobs/{job}").json())["state"] not in ("done", "failed"):
         time.sleep(0.02)

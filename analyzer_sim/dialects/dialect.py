@@ -97,7 +97,6 @@ class Command:
         return answer
 
     def _values(self, unit: Unit) -> list[object]:
-        """Read the parameters of one unit."""
         parameters = self.query_parameters if unit.is_query else self.parameters
         required = self.query_required if unit.is_query else len(self.parameters) - self.optional
         data = parse_data(unit.data)

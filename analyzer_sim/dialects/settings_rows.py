@@ -29,7 +29,6 @@ def number_text(value: float) -> str:
 
 
 def _word_value(settings: Settings, name: str, word: str) -> float:
-    """Return the value a keyword stands for."""
     limits = shown_limits(settings, name)
     words = {"MIN": limits.low, "MAX": limits.high, "DEF": limits.default}
     if word in words:

@@ -231,7 +231,6 @@ class FlownWorld:
             listener(self._plant.epoch_us, lines)
 
     def _flown_emission(self, row: int) -> Emission:
-        """Return what arrives at the attitude flown."""
         # power control remembers, so that its rows are computed from the first one on
         first = 0 if self.world.terms.has_control else row
         levels = self.world.terms.levels(self._attitude_deg[first : row + 1], first)

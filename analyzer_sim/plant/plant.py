@@ -309,7 +309,6 @@ class Plant:
         return z, x, y
 
     def _fly(self, begin_us: int, end_us: int) -> None:
-        """Fly from one row to the next."""
         step = self.row - self.first_row
         drift_deg_s, external_n_m, unseen_n_m = (_triple(series[step]) for series in self._disturbance)
         if self._perfect is None:

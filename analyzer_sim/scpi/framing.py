@@ -127,7 +127,6 @@ class MessageFramer:
         return self._enter(found.start())
 
     def _leave_quote(self) -> int | None:
-        """Look for the closing quote."""
         closing = self._buffer.find(self._quote, self._scan)
         if closing < 0:
             self._scan = len(self._buffer)

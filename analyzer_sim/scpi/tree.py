@@ -118,7 +118,6 @@ class CommandTree(Generic[T]):
 
 
 def _descend(branch: _Branch[T], mnemonic: str, unit: Unit) -> _Branch[T]:
-    """Follow one mnemonic."""
     name = mnemonic.rstrip("0123456789")
     suffix = mnemonic[len(name) :]
     child = branch.children.get(name)

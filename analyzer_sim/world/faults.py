@@ -148,7 +148,6 @@ def _add_shower(loss_db: FloatArray, start_h: float, effects: Effects, rng: np.r
 
 
 def _rows(effects: Effects, start_h: float, duration_h: float) -> slice:
-    """Return the rows of a span."""
     first, last = np.searchsorted(effects.hours, [start_h, start_h + duration_h]).tolist()
     return slice(first, last)
 

@@ -108,5 +108,4 @@ def _quiet_tec(seed: int, epochs_us: EpochArray) -> FloatArray:
 
 
 def _rotation_deg(tec_tecu: FloatArray) -> FloatArray:
-    """Return the Faraday rotation (T,)."""
     return np.asarray(np.degrees(2.36e4 * FIELD_T * tec_tecu * _TECU / FREQUENCY_HZ**2))

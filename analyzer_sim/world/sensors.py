@@ -69,7 +69,6 @@ def references(sensors: tuple[Sensor, ...], seed: int, epochs_us: EpochArray, at
 
 
 def _reported(sensor: Sensor, seed: int, epochs_us: EpochArray, attitude_deg: FloatArray) -> References:
-    """Return what one sensor tells."""
     name, count = sensor.source.replace("_", " "), len(epochs_us)
     noise = stream(seed, name).normal(size=(count, 3)) * np.array(sensor.sigma_deg)
     step_s = float(epochs_us[1] - epochs_us[0]) / 1e6 if count > 1 else 1.0

@@ -117,7 +117,6 @@ class Load:
 
 
 async def _answer(reader: asyncio.StreamReader) -> bytes:
-    """Return one whole answer."""
     head = await reader.readuntil(b"\r\n\r\n")
     _, _, rest = head.lower().partition(b"content-length:")
     return head + await reader.readexactly(int(rest.partition(b"\r\n")[0]))

@@ -27,7 +27,6 @@ async def main(url: str, key: str, spacecraft_id: str, clients: int) -> None:
 
 
 async def _read(url: str, key: str, spacecraft_id: str, counts: list[int], position: int, ready: asyncio.Event) -> None:
-    """Count the measurements of one connection."""
     address = urlsplit(url)
     reader, writer = await asyncio.open_connection(address.hostname, address.port)
     path = f"/api/v1/spacecraft/{spacecraft_id}/stream"

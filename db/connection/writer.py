@@ -228,7 +228,6 @@ class Writer:
                 return
 
     def _taken_away(self) -> list[_Task[Any]]:
-        """Remove and return all queued tasks."""
         taken: list[_Task[Any]] = []
         for _ in range(self._queue.qsize()):
             task = self._queue.get()

@@ -235,7 +235,6 @@ def _rendered(around: Sequence[str], numbers: Sequence[list[Any]], others: Seque
 
 
 def _values_of(array: Any, chosen: Positions) -> list[Any]:
-    """Return some values of an array."""
     if str(array.type) in {"string", "binary"} or str(array.type).startswith("fixed_size_binary"):
         return _texts(array, chosen)
     if array.null_count:

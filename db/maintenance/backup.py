@@ -264,7 +264,6 @@ def _rows_of_tables(connection: Connection) -> dict[str, int]:
 
 
 def _rows_of_spacecraft(connection: Connection) -> dict[str, SpacecraftCount]:
-    """Return the row counts of each spacecraft."""
     tables = {name: table for name, table in sorted(metadata.tables.items()) if "spacecraft_key" in table.c}
     query = select(head, spacecraft.c.id).join(spacecraft).order_by(spacecraft.c.id)
     heads = connection.execute(query).all()
@@ -286,7 +285,6 @@ def _rows_of_spacecraft(connection: Connection) -> dict[str, SpacecraftCount]:
 
 
 def _same_bytes(manifest: Manifest, archive: Path, report: Report) -> Diagnosis:
-    """Compare the file with the manifest."""
     advice = "This backup was changed or is incomplete; use another one."
     if not archive.is_file():
         return Diagnosis("file", "fault", f"{manifest.file} is not there", advice)

@@ -141,7 +141,6 @@ def _examined(
 
 
 def _file(path: Path) -> Iterator[Diagnosis]:
-    """Check the file from outside."""
     if not path.is_file():
         advice = "Correct --database; a backup is put back by `soo backup restore`."
         yield Diagnosis("file", "fault", f"there is no file {path}", advice)
@@ -177,7 +176,6 @@ def _companions(path: Path) -> list[Path]:
 
 
 def _disk(path: Path) -> Diagnosis:
-    """Return whether there is room for more."""
     usage = shutil.disk_usage(path.resolve().parent)
     detail = f"{usage.free >> 20} MiB free of {usage.total >> 20} MiB"
     advice = "Make room, set retention, or move the archive to a larger disk."

@@ -382,7 +382,6 @@ def _sqlite_integrity(connection: Connection) -> Iterator[Diagnosis]:
 
 
 def _layout(connection: Connection) -> Iterator[Diagnosis]:
-    """Compare the layout with that of the program."""
     layout = layout_of(connection)
     if layout is None:
         advice = "Name the archive with --database; `soo serve` makes a new one."
@@ -411,7 +410,6 @@ def _checksums(connection: Connection) -> Iterator[Diagnosis]:
 
 
 def _one(connection: Connection, state: Row[Any], name: str) -> Iterator[Diagnosis]:
-    """Examine one spacecraft."""
     ledger = read_ledger(connection, state)
     yield from _segments(name, ledger)
     yield from compare_summaries(connection, state.spacecraft_key, name)

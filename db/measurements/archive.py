@@ -269,7 +269,6 @@ class SqlArchive:
         return sorted(entries, key=lambda entry: entry.number)
 
     def _next_number(self, connection: Connection, key: int, after: int) -> int | None:
-        """Return the smallest number above the given one."""
         newest = select(head.c.newest_number).where(head.c.spacecraft_key == key)
         if (connection.scalar(newest) or 0) <= after:
             # nearly always: followers of the journal are at its end

@@ -120,7 +120,6 @@ _TORQUE = _Part(
 
 
 def _sealed(table: Table) -> _Part:
-    """Return the part of a series that is sealed."""
     return _Part(
         segment,
         segment.c.last_epoch_us,
@@ -296,7 +295,6 @@ def _series(database: Database, key: int, before_us: int, received_before_us: in
 
 
 def _columns(rows: Sequence[Measurement]) -> MeasuredColumns:
-    """Return records as columns."""
     carriers, count = len(rows[0].power_dbm), len(rows)
     flags = np.zeros((count, carriers), dtype=np.int32)
     details = np.full((count, len(DETAIL_NAMES), carriers), np.nan, dtype=np.float32)

@@ -67,7 +67,6 @@ class SqlAudit(Repository):
 
 
 def _conditions(wanted: AuditFilter) -> list[ColumnElement[bool]]:
-    """Return the conditions of a filter."""
     column = audit_entry.c
     found = [column.at_us >= wanted.start_us, column.at_us < wanted.stop_us]
     found += [

@@ -239,7 +239,6 @@ def _chosen(query: Select[Any], key: int, source: str | None, sweep: str | None)
 
 
 def _trace_values(key: int, source: str, trace: Trace, received_at_us: int) -> dict[str, Any]:
-    """Return the columns of a trace."""
     powers = packed(trace.power_dbm)
     return {
         "spacecraft_key": key,

@@ -310,7 +310,6 @@ def _states(rows: Sequence[AttitudeRow]) -> Iterator[tuple[RowState, ...]]:
 
 
 def _states_of(row: AttitudeRow) -> Iterator[RowState]:
-    """Yield the states of a row."""
     yield RowState("status", row.status.value)
     if row.control_allowed:
         yield RowState("control", "allowed")
@@ -377,7 +376,6 @@ def seal_results(database: Database, key: int, before_us: int) -> Iterator[Seale
 
 
 def _series(database: Database, key: int) -> Iterator[RowSeries]:
-    """Yield what has rows in a table of rows."""
     for table in TABLES.values():
         names = [table.c[name] for name in ("version", "method") if name in table.c]
         query = select(*names).where(table.c.spacecraft_key == key).order_by(*names).limit(1)

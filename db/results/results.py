@@ -369,8 +369,6 @@ def _numbered(row: Any) -> tuple[int, Result]:
 
 
 def _results(connection: Connection, key: int, sequence: int, limit: int) -> list[tuple[int, Result]]:
-    """Return the live results with a sequence in (sequence, sequence + limit]."""
-
     # sequences of the live version have no gap but that of retention, so the next results are a range in both tables
     def is_next(column: ColumnElement[int | None]) -> ColumnElement[bool]:
         return and_(column > sequence, column <= sequence + limit)
@@ -383,7 +381,6 @@ def _results(connection: Connection, key: int, sequence: int, limit: int) -> lis
 
 
 def _next_sequence(connection: Connection, key: int, sequence: int) -> int | None:
-    """Return the smallest sequence above the given one."""
     found = [
         connection.scalar(
             select(func.min(table.c.sequence)).where(table.c.spacecraft_key == key, table.c.sequence > sequence)

@@ -223,7 +223,6 @@ def unsealed_rows(connection: Connection, of: RowSeries, window: Window) -> Iter
 
 
 def _of_table(connection: Connection, of: RowSeries, part: ListPart) -> list[Any]:
-    """Return the rows of a part of the table of rows."""
     table = of.table
     query = page_of(select(table).where(*of.of_rows()), table.c.epoch_us, table.c.number, part)
     return sound_rows(table, connection.execute(query))

@@ -170,7 +170,6 @@ def checksums_of(table: Any, columns: Mapping[str, Sequence[Any]]) -> list[bytes
 
 
 def _with_size(content: str | bytes | None) -> bytes:
-    """Return a content behind its size."""
     part = content.encode() if isinstance(content, str) else content
     return _SIZE.pack(_NONE) if part is None else _SIZE.pack(len(part)) + part
 
@@ -229,7 +228,6 @@ class _Parts(NamedTuple):
 
 @cache
 def _parts(table: Table) -> _Parts:
-    """Return the columns of a table that count."""
     names: dict[type, list[str]] = {Integer: [], Float: [], Text: []}
     for column in table.c:
         kind = column.type.impl_instance if isinstance(column.type, TypeDecorator) else column.type

@@ -192,7 +192,6 @@ def _ignore(_spacecraft_id: str, _about: object = None) -> None:
 
 
 def _always() -> bool:
-    """Return True."""
     return True
 
 

@@ -128,7 +128,6 @@ class AsyncTransport:
             raise calls.no_answer(self._http.base_url, "GET", calls.BASE_PATH + path, error) from error
 
     async def _send_once(self, call: calls.Call[Result]) -> Result:
-        """Send once."""
         try:
             response = await self._http.request(
                 call.method, call.url, content=call.content, params=call.query, headers=call.headers

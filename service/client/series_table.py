@@ -147,7 +147,6 @@ def _is_number(value: Any) -> bool:
 
 
 def _microseconds(epochs: Iterable[str]) -> NDArray[np.int64]:
-    """Return epochs as microseconds UTC."""
     return np.array([parse_epoch(epoch) for epoch in epochs], dtype=np.int64)
 
 

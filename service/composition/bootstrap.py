@@ -196,7 +196,6 @@ def _chosen(settings: Settings, part: type[Any]) -> dict[str, Any]:
 
 
 def _limits(settings: Settings) -> Limits:
-    """Return the limits of what may come in."""
     descriptors = max(64, raised_descriptor_limit() - _OWN_FILES)
     derived = {
         "retention_s": settings.retention.measurements_days * 86_400 or None,
@@ -261,7 +260,6 @@ class _JobSettings:
 
 
 def _works_in_process(settings: _JobSettings) -> tuple[Storage, dict[str, Work]]:
-    """Return storage and works of a process that does jobs."""
     storage = SqlStorage(settings.database_url, settings.database_timeout_s)
     clock = clock_of(settings.clock, storage)
     works: dict[str, Work] = {
@@ -274,7 +272,6 @@ def _works_in_process(settings: _JobSettings) -> tuple[Storage, dict[str, Work]]
 
 
 def _job_runner(settings: Settings, storage: Storage, clock: Clock, leading: Leading) -> tuple[JobRunner, JobWorker]:
-    """Return what runs jobs, and its process."""
     make = partial(_works_in_process, _JobSettings.of(settings))
     worker = JobWorker(make, storage.leases.lend, settings.workers.job_timeout_s)
     smoothing = SmoothingDue(storage, settings.smoothing, leading.term)

@@ -218,7 +218,6 @@ def _stage_entries(path: str, default: Any, value: Any) -> Iterator[SettingEntry
 
 
 def _variable(path: str) -> str:
-    """Return the environment variable of a setting."""
     return "SOO_" + path.replace(".", "__").upper()
 
 

@@ -87,7 +87,6 @@ def read_carrier_plan(raw: bytes) -> list[dict[str, Any]]:
 
 
 def _lines(raw: bytes) -> list[list[str]]:
-    """Return the cells of all lines."""
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -117,7 +116,6 @@ def _check_header(header: list[str]) -> None:
 
 
 def _document(index: int, cells: dict[str, str]) -> dict[str, Any]:
-    """Return one carrier as a document."""
     stated = {name: cell for name, cell in cells.items() if cell}
     document: dict[str, Any] = {name: unguarded(stated[name]) for name in _TEXT_COLUMNS if name in stated}
     document |= {name: _number(index, name, stated[name]) for name in _NUMBER_COLUMNS if name in stated}
@@ -141,7 +139,6 @@ def _number(index: int, name: str, cell: str) -> float:
 
 
 def _truth(index: int, cell: str) -> bool:
-    """Return the truth value of a cell."""
     truth = _TRUTHS.get(cell.lower())
     if truth is None:
         raise _malformed(f"/carriers/{index}/enabled", f"{cell[:40]!r} is neither true nor false")
@@ -160,7 +157,6 @@ def _values(carrier: Carrier) -> tuple[object, ...]:
 
 
 def _cell(value: object) -> str:
-    """Return the text of a cell."""
     if value is None:
         return ""
     if isinstance(value, str):

@@ -119,7 +119,6 @@ _MARKS = {
 
 
 def _entered(position: str, mark: str, number: int) -> str:
-    """Return the place that a mark opens."""
     allowed, opened = _MARKS[mark]
     if position not in allowed:
         raise malformed(number, f"{mark} stands at the wrong place")

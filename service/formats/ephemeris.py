@@ -286,7 +286,6 @@ def read_oem(text: str) -> Ephemeris:
 
 
 def _parse(text: str) -> list[_Segment]:
-    """Return the segments of a message."""
     lines = text.splitlines()
     if not lines or not lines[0].strip().startswith("CCSDS_OEM_VERS"):
         raise InvalidInputError("oem.malformed", "the message must begin with CCSDS_OEM_VERS")
@@ -316,7 +315,6 @@ def _consume(position: str, content: str, number: int, segments: list[_Segment])
 
 
 def _read_state(cells: list[str], number: int, segment: _Segment) -> None:
-    """Take in one state."""
     if len(cells) not in _STATE_COLUMNS:
         raise _malformed(number, "a state is an epoch, three coordinates in km and three rates in km/s")
     try:
@@ -420,7 +418,6 @@ def _hermite(epochs_us: IntArray, states: FloatArray, grid_us: IntArray) -> Floa
 
 
 def _malformed(number: int, detail: str) -> InvalidInputError:
-    """Return the error of a line."""
     return InvalidInputError("oem.malformed", f"line {number}: {detail}")
 
 

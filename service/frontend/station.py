@@ -322,7 +322,6 @@ class Acquisition:
         self.orders.wait(1.0, states.AcquisitionState.DISABLED)
 
     def _measuring(self) -> MeasuringCycle:
-        """Return the cycle of the open session."""
         if self._cycle is None:
             raise AnalyzerIOError("no session")
         return self._cycle
@@ -337,7 +336,6 @@ class Acquisition:
         self._bound_s = time.monotonic() + bound_s
 
     def _note(self, state: states.AcquisitionState, fault: Exception) -> None:
-        """Count and log a fault."""
         self._had_fault = True
         self.counters.faults += 1
         self.counters.last_fault = str(fault)
@@ -451,7 +449,6 @@ class MeasuringStation:
         return self._summary()
 
     def _summary(self) -> StationSummary:
-        """Return the summary of the run."""
         state = self.spool.state
         if state.waiting:
             logger.warning("%s: %d rows wait in the spool for the next start", self.link_id, state.waiting)

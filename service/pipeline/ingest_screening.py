@@ -167,7 +167,6 @@ def _bounded(bounds: EpochBounds, epochs_us: IntArray) -> EpochBounds:
 
 
 def _batch(rows: ReceivedRows, index: IntArray, power_dbm: FloatArray, bounds: EpochBounds) -> MeasurementBatch:
-    """Return the rows at some places as a batch."""
     epochs_us = rows.epochs_us[index]
     stale_before_us = bounds.stale_before_us
     is_stale = np.zeros(len(index), dtype=np.bool_) if stale_before_us is None else epochs_us < stale_before_us
@@ -225,14 +224,12 @@ def _as_array(power_dbm: Powers, has_width: BoolArray, width: int) -> FloatArray
 def _refusal(
     rows: ReceivedRows, position: int, faults: dict[str, BoolArray], width: int, bounds: EpochBounds
 ) -> RowRefusal:
-    """Return why one row is refused."""
     code = next(code for code, is_faulty in faults.items() if is_faulty[position])
     seq = None if rows.first_seq is None else rows.first_seq + position
     return RowRefusal(position, seq, code, _detail(code, rows, position, width, bounds))
 
 
 def _detail(code: str, rows: ReceivedRows, position: int, width: int, bounds: EpochBounds) -> str:
-    """Return the fault of one row and its remedy."""
     if code == "value.count":
         return f"plan {rows.plan_id} has {width} carriers; the row has {_counts(rows, position)}"
     if code == "time.too_old":
@@ -254,7 +251,6 @@ def _counts(rows: ReceivedRows, position: int) -> str:
 
 
 def _any(faults: dict[str, BoolArray]) -> BoolArray:
-    """Return which rows have any fault."""
     has_fault: BoolArray = np.any(np.stack(list(faults.values())), axis=0)
     return has_fault
 
@@ -273,5 +269,4 @@ def _earliest_us(now_us: int, retention_s: float | None) -> int:
 
 
 def _us(seconds: float) -> int:
-    """Return microseconds."""
     return round(seconds * US_PER_S)

@@ -111,6 +111,5 @@ def _time_of(record: logging.LogRecord) -> str:
 
 
 def _fields_of(record: logging.LogRecord) -> dict[str, Any]:
-    """Return the fields of an event."""
     fields = getattr(record, "fields", None)
     return fields if isinstance(fields, dict) else {}

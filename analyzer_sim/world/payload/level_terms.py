@@ -261,7 +261,6 @@ class _DrawnStation(NamedTuple):
 
 
 def _drawn_station(figures: StationNoise, rng: np.random.Generator) -> _DrawnStation:
-    """Draw the statistics of one station."""
     scale = float(np.exp(figures.parts_spread * rng.normal()))
     white_db = figures.white_db * float(np.exp(figures.white_spread * rng.normal()))
     return _DrawnStation(scale, white_db, 0.5 * float(rng.uniform(*figures.solar_db)))

@@ -91,7 +91,6 @@ def _moved(motion: Motion, slope: Motion, span_s: float) -> Motion:
 
 
 def _slope(at: Motion, torques: Torques, inertia_kg_m2: Vector, orbital_rate_rad_s: float, elapsed_s: float) -> Motion:
-    """Return the rates of change of a motion."""
     given, wheels = torques.external_n_m, torques.wheels_n_m
     stored = torques.momentum_n_m_s
     momentum = (

@@ -281,7 +281,6 @@ def _end_report(accepted: _Accepted, until_us: int) -> Report:
 
 
 def _report(accepted: _Accepted, elements: tuple[TorqueElement, ...], fate: Fate) -> Report:
-    """Return what is told of elements that have ended."""
     received_us = accepted.arrival.received_us
     start_us = min((element.start_us for element in elements), default=received_us)
     stop_us = max((element.stop_us for element in elements), default=received_us)

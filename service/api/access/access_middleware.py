@@ -167,7 +167,6 @@ def _context(scope: Scope) -> ApiContext:
 
 
 def _rate_headers(scope: Scope) -> list[tuple[bytes, bytes]]:
-    """Return the headers of the remaining rate."""
     allowance: Allowance | None = scope["state"].get("allowance")
     if allowance is None:
         return []

@@ -135,7 +135,6 @@ def joined_rows(source: JoinedSource, window: Window, carriers: int) -> Iterator
 
 
 def _joined(source: JoinedSource, page: Sequence[Measurement]) -> list[JoinedRow]:
-    """Return the rows of a page with what is stored for each."""
     results, of = source.storage.results, (source.spacecraft_id, source.version)
     window = Window(page[0].epoch_us, page[-1].epoch_us + 1)
     carriers = results.carrier_results(*of, source.method, window)

@@ -323,19 +323,16 @@ _MAKERS: dict[str, Callable[[_Maker], ArchiveFile]] = {
 
 
 def _records(chunks: Iterable[export_chunks.Chunk]) -> Iterator[Any]:
-    """Yield the records of each page."""
     return (chunk.records for chunk in chunks if isinstance(chunk, export_chunks.RecordPage))
 
 
 def _paged(records: Iterable[Any]) -> Iterator[export_chunks.Chunk]:
-    """Yield records in pages."""
     rest = iter(records)
     while page := list(islice(rest, export_chunks.PAGE_ROWS)):
         yield export_chunks.record_page(page)
 
 
 def _event(entry: JournalEntry) -> series_tables.EventRow:
-    """Return the event that a journal entry tells."""
     content: Any = entry.content
     start_us = entry.start_us or 0
     stop_us = None if entry.stop_us == start_us else entry.stop_us

@@ -226,7 +226,6 @@ class BoundedProtocol(HttpToolsProtocol):
         self._refuse(RequestProblemError(HTTPStatus.BAD_REQUEST, "http.malformed", detail))
 
     def _count(self, size: int) -> None:
-        """Count a part of the head."""
         self._head_bytes += size
         if self._head_bytes > MAX_HEAD_BYTES:
             raise _HeadTooLargeError

@@ -240,7 +240,6 @@ class Metrics:
             return ()
 
     def _process(self) -> Iterator[Sample]:
-        """Yield the samples of the process."""
         statistics = process_statistics()
         yield "soo_build_info", (program_version(),), 1.0
         yield "soo_process_resident_memory_bytes", (), float(statistics.rss_bytes)
@@ -268,7 +267,6 @@ class Metrics:
         yield "soo_stream_dropped_total", (), float(self._streams.dropped)
 
     def _durations(self) -> Any:
-        """Return the histogram of durations."""
         from prometheus_client.core import HistogramMetricFamily
 
         name = "soo_http_request_duration_seconds"
@@ -329,7 +327,6 @@ class Metrics:
         yield "soo_control_allowed", (spacecraft.id,), float(present_of(self._context, now).verdict.is_allowed)
 
     def _links(self) -> Iterator[Sample]:
-        """Yield the state of each link."""
         for link in link_answers(self._context, self._context.storage.links.links()[:MAX_LINKS]):
             yield "soo_link_state", (link.id, link.state), 1.0
             if link.last_good_age_s is not None:

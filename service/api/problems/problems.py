@@ -183,7 +183,6 @@ def pointer_of(location: Sequence[str | int]) -> str:
 
 
 def _fault(error: Mapping[str, Any], prefix: str) -> FieldError:
-    """Return one field error."""
     kind = str(error["type"])
     code = kind if "." in kind else _CODE_OF.get(kind, "value.type")
     return FieldError(prefix + pointer_of(error["loc"]), code, fault_sentence(error))

@@ -43,7 +43,6 @@ def _meaning(schema: str, field: str) -> str:
 
 
 def _with(text: str, unit: str) -> str:
-    """Return a description that ends with its unit."""
     return f"{text.rstrip('.')}; {unit}."
 
 
@@ -107,7 +106,6 @@ def _lift_body(operation: dict[str, Any], schemas: dict[str, Any]) -> None:
 
 
 def _definitions(schema: dict[str, Any], name: str) -> dict[str, Any]:
-    """Return a schema and what it refers to, by name."""
     return {**schema.pop("$defs", {}), name: schema}
 
 
@@ -178,7 +176,6 @@ def _operation(path: str, method: str, operation: dict[str, Any]) -> str:
 
 
 def _schema(name: str, schema: dict[str, Any]) -> str:
-    """Return one shape with its fields."""
     required = set(schema.get("required", ()))
     fields = "".join(
         f"<tr><td><code>{escape(field)}</code></td><td>{'required' if field in required else ''}</td>"

@@ -244,7 +244,6 @@ def window_of(start: str | None, stop: str | None, default: Window) -> Window:
 
 
 def _parameter_epoch(name: str, text: str) -> int:
-    """Return the epoch of a query parameter."""
     return _epoch_at(f"/query/{name}", text)
 
 

@@ -319,7 +319,6 @@ async def close_browser_session(
 
 
 def _is_loopback(request: Request) -> bool:
-    """Return whether a request comes from this machine."""
     try:
         return ip_address(auth.address_of(request.scope)).is_loopback
     except ValueError:

@@ -166,7 +166,6 @@ def _part_of(file: ArchiveFile, window: Window, chunks: Iterable[Chunk]) -> _Par
 
 
 def _part_answer(part: _Part, request: Request, file_format: str, file: ArchiveFile, now_us: int) -> PartAnswer:
-    """Return the manifest entry of a part."""
     span = [("start", format_epoch(part.window.start_us)), ("stop", format_epoch(part.window.stop_us))]
     query = urlencode([("format", file_format), *span, *file.parameters])
     return PartAnswer.model_validate(
@@ -406,7 +405,6 @@ def _of_attitude(request: _Request) -> Iterator[tuple[SeriesName, Summaries]]:
 
 
 def _of_impulse(request: _Request) -> Iterator[tuple[SeriesName, Summaries]]:
-    """Yield impulses of the commands."""
     figures = [(_IMPULSE_FIGURES.index(each), each) for each in request.quantities if each in _IMPULSE_FIGURES]
     if figures:
         bins, results = request.grid.bins(len(_IMPULSE_FIGURES)), request.context.storage.results

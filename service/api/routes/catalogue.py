@@ -155,7 +155,6 @@ def _ephemeris_of(body: EphemerisDocument) -> Ephemeris:
 
 
 def _pointer(body: EphemerisDocument) -> str:
-    """Return the pointer to the form that was given."""
     return "/tle" if body.tle is not None else "/oem" if body.oem is not None else "/ascending_nodes"
 
 

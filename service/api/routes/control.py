@@ -317,7 +317,6 @@ def report_failed(caller: CurrentCaller, command_id: CommandId, body: ReportBody
 
 
 def _reported(caller: Caller, command_id: int, turn: str, body: documents.ReportDocument) -> documents.CommandAnswer:
-    """Return a command after a report."""
     command = caller.release.report(
         caller.spacecraft_id,
         command_id,

@@ -263,7 +263,6 @@ def input_page(
 
 
 def _position(entry: JournalEntry) -> Position:
-    """Return the position of an entry in its list."""
     content: Any = entry.content
     return content.start_us if hasattr(content, "start_us") else content.epoch_us, entry.number
 

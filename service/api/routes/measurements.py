@@ -162,7 +162,6 @@ def _answer(
     screened: tuple[RowRefusal, ...],
     leap_positions: Sequence[int],
 ) -> dict[str, Any]:
-    """Return the receipt as it is sent."""
     received = len(body.measurements)
     refused = (*screened, *receipt.refused)
     flagged = list(receipt.flagged)

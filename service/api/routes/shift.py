@@ -181,7 +181,6 @@ def clear_alarm(alarm_id: AlarmId, body: Said, context: Context, principal: Curr
 
 
 def _reported(context: Context, alarm: Alarm) -> documents.AlarmAnswer:
-    """Return an alarm with what follows from it."""
     is_alone = alarm.cause is not None or not alarm.is_open
     return alarm_answer(context, alarm, () if is_alone else context.storage.alarms.open_alarms(alarm.spacecraft_id))
 

@@ -221,7 +221,6 @@ class CalibrationList(RowList):
 
 
 def _worst(checks: tuple[records.PolarimeterCheck, ...]) -> str:
-    """Return the worst verdict on a polarimeter."""
     verdicts = {check.verdict for check in checks}
     for verdict in (
         records.MotionVerdict.CONTRADICTED,
@@ -370,7 +369,6 @@ class AlignmentList(RowList):
 
 
 def _listed(names: set[str] | frozenset[str]) -> str:
-    """Return names for a message."""
     return ", ".join(sorted(names)) or "nothing"
 
 

@@ -14,7 +14,6 @@ from service.runtime.jobs.analysis import CarrierRecommendation
 
 
 def _named(values: Any) -> Any:
-    """Return angles of an array by name."""
     return named_axes(values) if isinstance(values, np.ndarray) else values
 
 

@@ -56,7 +56,6 @@ Wheels = Annotated[tuple[_Telemetered, ...], Field(min_length=1, max_length=16)]
 
 
 def _epoch_fault(epoch_us: int) -> Fault | None:
-    """Return why an epoch cannot be."""
     if epoch_us < EARLIEST_EPOCH_US:
         return "time.too_old", f"nothing before {format_epoch(EARLIEST_EPOCH_US)} is kept"
     if epoch_us > LATEST_EPOCH_US:

@@ -298,7 +298,6 @@ class EventStream:
         return self._event("dropped", _json(answer))
 
     def _event(self, kind: str, data: bytes) -> bytes:
-        """Return one event as it is sent."""
         self._streams.sent[kind] += 1
         self._sent_position = self._position
         head = f"id: {event_id(self._spacecraft_id, self._position)}\nevent: {kind}\ndata: "
@@ -306,5 +305,4 @@ class EventStream:
 
 
 def _json(document: BaseModel) -> bytes:
-    """Return a document as JSON."""
     return document.model_dump_json().encode()

@@ -265,7 +265,6 @@ class EventTexts:
                 raise TypeError(message)
 
     def _carriers(self, spacecraft_id: str, results: CarrierResults | None) -> RowCarriersAnswer | None:
-        """Return the carriers of a row."""
         if results is None:
             return None
         return RowCarriersAnswer.of(results, self._names.of(spacecraft_id, results.plan_id))

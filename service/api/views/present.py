@@ -494,7 +494,6 @@ def _ending_keys(context: ApiContext) -> list[documents.HandoverKeyAnswer]:
 
 
 def _link_members(context: ApiContext, spacecraft_id: str) -> list[Any]:
-    """Return the links that want attention."""
     now_us = context.clock.system_us()
     states = context.storage.links.links(spacecraft_id)
     chosen = [state for state in states if state.is_down(now_us) or not state.enabled or state.report.warnings]
@@ -502,7 +501,6 @@ def _link_members(context: ApiContext, spacecraft_id: str) -> list[Any]:
 
 
 def _sources(context: ApiContext, spacecraft_id: str) -> list[documents.HandoverSourceAnswer]:
-    """Return the sources with what they miss."""
     return [
         documents.HandoverSourceAnswer.of(one, source=one.id) for one in context.storage.archive.sources(spacecraft_id)
     ]
@@ -516,7 +514,6 @@ def _operations(context: ApiContext, spacecraft_id: str, now_us: int) -> list[Op
 
 
 def _notices(context: ApiContext) -> list[documents.HandoverNoticesAnswer]:
-    """Return the counts of notices by channel."""
     return [
         documents.HandoverNoticesAnswer.of(channel.counts, channel=channel.name, waiting=channel.waiting)
         for channel in context.alarms.channels

@@ -133,7 +133,6 @@ def _left_out(histories: Sequence[History]) -> set[tuple[int, int]]:
 
 
 def _runs(method: Method, runs: Sequence[StateRun]) -> Iterator[documents.StateRunAnswer]:
-    """Yield the answers for the runs of one method."""
     for (kind, name, carrier), start_us, stop_us, rows in runs:
         members = {"kind": kind, "name": name, "carrier": carrier or None, "rows": rows}
         yield documents.StateRunAnswer.model_validate({"method": method, "start": start_us, "stop": stop_us, **members})

@@ -121,7 +121,6 @@ def verify(
 
 
 def _report(summary: str, found: Sequence[ChainFinding]) -> None:
-    """Print what was found."""
     for each in found:
         typer.echo(f"entry {each.number}: {each.kind}: {each.detail}")
     typer.echo(f"{'BROKEN' if found else 'whole'}: {summary}")

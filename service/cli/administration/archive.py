@@ -107,7 +107,6 @@ def _guarded() -> Iterator[Callable[[str, float], None]]:
 
 
 def _report(report: dict[str, Any], *, as_json: bool) -> None:
-    """Print what was done."""
     if as_json:
         typer.echo(json.dumps(report))
         return

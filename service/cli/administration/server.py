@@ -115,7 +115,6 @@ def _files(folder: Path, port: int) -> dict[str, str]:
 
 
 def _soo() -> str:
-    """Return the program of this installation."""
     program = Path(sys.executable).with_name("soo")
     return shlex.quote(str(program)) if program.exists() else f"{shlex.quote(sys.executable)} -m service"
 

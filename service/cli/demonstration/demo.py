@@ -148,7 +148,6 @@ def _stop(demonstration: RunningDemonstration) -> dict[str, Any]:
 
 
 def _sentence(kind: str, answer: dict[str, Any]) -> str:
-    """Return what was changed, and what is to be seen."""
     carrier = f" ({answer['carrier']})" if answer.get("carrier") else ""
     span = f" from {answer['from']} until {answer['until']}" if "from" in answer else ""
     return f"{kind}{carrier}{span}: {_EXPECTED[kind]}"

@@ -125,7 +125,6 @@ def _flown(presenter: Presenter) -> FlightAlone | None:
 
 
 def _draw(story: Story, client: ServiceClient, flown: FlightAlone | None, figure: Path) -> None:
-    """Draw the operation phase."""
     # matplotlib costs a second that only a figure needs
     from service.study.demonstration.figures import draw_control, draw_tracking
 

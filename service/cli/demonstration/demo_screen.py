@@ -238,7 +238,6 @@ class Presenter:
             self._console.print(self._operation(scene))
 
     def _operation(self, scene: Scene) -> Group:
-        """Return the screen of the operation."""
         alone = self.alone.result() if self.alone is not None and self.alone.done() else None
         keys = {} if self.key_file is None else {"key": self.key_file}
         keys |= {each.name: each.key_file for each in self._persons}
@@ -285,7 +284,6 @@ def print_figures(console: Console, figures: dict[str, Any]) -> None:
 
 
 def _print_loop(console: Console, loop: dict[str, Any]) -> None:
-    """Print what control came to."""
     alone = loop["control_off"]
     columns = ("axis", "largest, deg", "95 %, deg", "bound, deg", "usual, deg", "impulse, N m s", "left alone, deg")
     table = Table(*columns, title="the true attitude, loop closed; usual: for 95 runs of 100")

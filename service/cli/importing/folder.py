@@ -457,7 +457,6 @@ def calibrate(
 
 
 def _calibrations(client: "ServiceClient", spacecraft_id: str) -> list[dict[str, Any]]:
-    """Return the calibrations that the service has."""
     found: list[dict[str, Any]] = client.request("GET", f"/spacecraft/{spacecraft_id}/calibrations")["rows"]
     return found
 

@@ -255,7 +255,6 @@ def _operate(
 
 
 def _show(done: dict[str, Any]) -> None:
-    """Print what was done, for people."""
     if "missing" in done:
         typer.echo(f"missing in the service: {', '.join(done['missing']) or 'nothing'}; nothing was sent")
         return

@@ -172,7 +172,6 @@ def read_statement(text: str) -> Any:
 
 
 def _document(path: Path) -> dict[str, Any]:
-    """Return the content of a manifest."""
     if not path.exists():
         raise ForeignTableError(f"{path.parent} has no {NAME}; make it: soo import {path.parent} --propose")
     try:
@@ -211,7 +210,6 @@ def guesses_in(value: Any, name: str = "") -> Iterable[tuple[str, Guess]]:
 
 
 def _without(value: Any, is_left_out: Callable[[Any], bool]) -> Any:
-    """Return a document without some of its values."""
     if isinstance(value, dict):
         return {key: _without(each, is_left_out) for key, each in value.items() if not is_left_out(each)}
     return (

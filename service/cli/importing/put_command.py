@@ -144,7 +144,6 @@ def _stated(kind: dialogue.FileRole, texts: list[str]) -> dict[str, Any]:
 
 
 def _put_spacecraft(client: "ServiceClient", order: _PutOrder) -> None:
-    """Store a spacecraft."""
     from service.cli.importing.catalogue import (
         check_likely,
         flat,
@@ -180,7 +179,6 @@ def _put_spacecraft(client: "ServiceClient", order: _PutOrder) -> None:
 
 
 def _put_carriers(client: "ServiceClient", order: _PutOrder) -> None:
-    """Store a carrier plan."""
     from service.cli.importing.catalogue import check_likely, check_plan, plan_rows, read_plan
 
     plan = read_plan(order.file)
@@ -202,7 +200,6 @@ def _put_carriers(client: "ServiceClient", order: _PutOrder) -> None:
 
 
 def _put_orbit(client: "ServiceClient", order: _PutOrder) -> None:
-    """Store an orbit."""
     from service.cli.importing.catalogue import check_orbit, read_orbit, understood_orbit
 
     orbit, ephemeris = read_orbit(order.file)
@@ -328,7 +325,6 @@ def _understood(interpretation: "Interpretation") -> list[tuple[str, str]]:
 
 
 def _question(question: "Question") -> str:
-    """Return a question with its field and choices."""
     choices = f" [{', '.join(question.choices[:20])}]" if question.choices else ""
     return f"{question.field}: {question.text}{choices}"
 

@@ -81,7 +81,6 @@ def _span(
 
 
 def _table(document: dict[str, Any]) -> str:
-    """Return the figures as lines."""
     rows, (first, second) = document["rows"], document["versions"]
     lines = [
         f"rows: {rows['both']} in both ({rows['both_with_angles']} with angles), {rows['first_alone']} in {first} "

@@ -195,7 +195,6 @@ def replays(
 
 
 def _line(each: dict[str, Any]) -> str:
-    """Return one replay as a line."""
     state = each["state"] if each["state"] in {"done", "failed"} else f"{each['state']} {each['progress']:.0%}"
     figures = f"{each['attitude_rows']} rows, {each['torque_rows']} torques, {each['size_bytes'] / 1e6:.1f} MB"
     return f"{each['version']}  {each['start']} to {each['stop']}  {state}  {figures}"

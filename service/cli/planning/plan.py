@@ -126,7 +126,6 @@ def _draw(planning: "CarrierPlanning", figure: Path | None, report: Path | None)
 
 
 def _deliver(planning: "CarrierPlanning", *, as_json: bool) -> None:
-    """Print the planning."""
     from rich.console import Console
 
     if as_json:

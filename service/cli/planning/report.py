@@ -57,7 +57,6 @@ def planning_parts(planning: CarrierPlanning) -> Iterator[str | Table]:
 
 
 def _prediction_table(quiet: dict[str, Any]) -> Table:
-    """Return the expected accuracy."""
     title = f"Expected after the turns, by a rehearsal over {quiet['days']:.1f} quiet days ({quiet['rows']} rows)"
     table = Table("deg", *_AXES, title=title, title_justify="left")
     for name, field in (
@@ -177,7 +176,6 @@ def _chosen_table(document: dict[str, Any]) -> Table:
 
 
 def _turns_table(turns: dict[str, Any]) -> Table:
-    """Return the timetable of the calibration turns."""
     title = f"Recommended turns, {turns['total_s'] / 3600.0:.1f} h in all"
     table = Table("start", "minutes", "yaw, deg", "roll, deg", "pitch, deg", title=title, title_justify="left")
     for step in turns["steps"]:
@@ -260,5 +258,4 @@ def _markdown(part: str | Table) -> str:
 
 
 def _line(cells: Sequence[object]) -> str:
-    """Return one line of a table."""
     return f"| {' | '.join(str(cell).replace('|', '/') for cell in cells)} |"

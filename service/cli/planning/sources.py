@@ -106,7 +106,6 @@ def read_powers(path: Path, plan: "CarrierPlan") -> QuietPowers:
 
 
 def _gaps(series: MeasurementSeries) -> tuple[str, ...]:
-    """Return a remark on the gaps of a series."""
     steps_s = np.diff(series.epochs_us) / US_PER_S
     long = np.flatnonzero(steps_s > _GAP_S)
     if not long.size:
@@ -246,7 +245,6 @@ def _candidates(
 
 
 def _carriers(candidates: Candidates, levels: quiet_days.QuietLevels) -> list[dict[str, Any]]:
-    """Return what the quiet days show of each carrier."""
     present = np.isfinite(levels.residual_db).mean(axis=0)
     return [
         {
@@ -266,7 +264,6 @@ def _carriers(candidates: Candidates, levels: quiet_days.QuietLevels) -> list[di
 
 
 def _prediction(rehearsal: Rehearsal) -> dict[str, Any]:
-    """Return the expected accuracy."""
     prediction = rehearsal.prediction
     stated = np.isfinite(prediction.protection_deg).any(axis=0)
     protection_deg = np.where(np.isfinite(prediction.protection_deg), prediction.protection_deg, np.inf)

@@ -28,7 +28,6 @@ def page(title: str, sections: list[Section], wanted: PageFormat, picture: bytes
 
 
 def _html(title: str, sections: list[Section], source: str | None) -> str:
-    """Return a page as one file of HTML."""
     image = f'<img alt="{_PICTURE}" src="{source}">\n' if source else ""
     lines = [f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{html.escape(title)}</title>']
     lines += [f"<style>{_STYLE}</style><h1>{html.escape(title)}</h1>", image]
@@ -39,7 +38,6 @@ def _html(title: str, sections: list[Section], source: str | None) -> str:
 
 
 def _markdown(title: str, sections: list[Section], source: str | None) -> str:
-    """Return a page as Markdown."""
     lines = [f"# {_escaped(title)}", "", *([f"![{_PICTURE}]({source})", ""] if source else [])]
     for each in sections:
         lines += [f"## {_escaped(each.title)}", "", *(f"* {_escaped(line)}" for line in each.lines), ""]

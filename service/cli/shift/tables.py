@@ -38,7 +38,6 @@ _UNITS = {"deg": ("deg", 2), "dB": ("db", 1), "%": ("percent", 0)}
 
 @cache
 def _table() -> Json:
-    """Return the English table of the console."""
     path = files("service.console").joinpath("static/words/en.json")
     return Json(json.loads(path.read_text(encoding="utf-8")))
 
@@ -136,7 +135,6 @@ def _reason(reason: Json, row: Json, conditions: list[Json]) -> str:
 
 
 def _composed(found: Any, values: Mapping[str, object]) -> str:
-    """Return a sentence with its values."""
     text: str = found if isinstance(found, str) else found["one" if values.get("count") == 1 else "other"]
     return re.sub(r"\{(\w+)\}", lambda found: str(values.get(found[1], MISSING)), text)
 

@@ -84,7 +84,6 @@ def show(planned: PlannedAnalyzer, *, is_quiet: bool) -> None:
 
 
 def _sweeps_table(planned: PlannedAnalyzer) -> Table:
-    """Return the sweeps of one cycle."""
     title = f"{planned.task.task.id}: one row takes {cycle_s(planned.task):.2f} s"
     if planned.period_s:
         title += f" of {planned.period_s:g} s"

@@ -398,7 +398,6 @@ _HOUR_S = 3600.0
 
 
 def _share(limit: float, asked: float) -> float:
-    """Return the share of what is asked for that a limit leaves."""
     return limit / asked if asked > limit else 1.0
 
 

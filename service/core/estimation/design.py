@@ -267,6 +267,5 @@ def recommended_turns(*, far_yaw: bool = False) -> tuple[TurnLevel, ...]:
 
 
 def _about(axis: int, size_deg: float) -> tuple[float, float, float]:
-    """Return an attitude about one axis."""
     yaw, roll, pitch = (size_deg if axis == k else 0.0 for k in range(3))
     return yaw, roll, pitch

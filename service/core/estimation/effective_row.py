@@ -265,7 +265,6 @@ def _before_records(row: EffectiveRow, adjoint: Adjoint) -> Adjoint:
 
 
 def _before_update(row: EffectiveRow, adjoint: Adjoint) -> Adjoint:
-    """Return the adjoint before the update of a row, from that after the row."""
     adjoint = before_start(adjoint, row.restarted)
     if row.is_rain_taken:
         adjoint = before_step(adjoint, _rain_into_chain(len(adjoint.vector)))

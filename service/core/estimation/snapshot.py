@@ -194,7 +194,6 @@ def subset_orders(carriers: int, subsets: int = 60) -> IntArray:
 
 
 def _primes(count: int) -> list[int]:
-    """Return the first primes."""
     found: list[int] = []
     candidate = 2
     while len(found) < count:

@@ -265,12 +265,10 @@ def crossing_time(leg: MotionLeg, line: Line, horizon_s: float) -> float:
 
 
 def _angle(leg: MotionLeg, t: float) -> float:
-    """Return theta."""
     return angle_and_rate_at(leg, t)[0]
 
 
 def _rate(leg: MotionLeg, t: float) -> float:
-    """Return the rate of theta."""
     return angle_and_rate_at(leg, t)[1]
 
 

@@ -281,7 +281,6 @@ def _require_inside(fractions: FloatArray, width_hz: FloatArray, grid: TraceGrid
 
 
 def _averaging(fractions: FloatArray) -> FloatArray:
-    """Return rows that sum to one."""
     mean: FloatArray = fractions / fractions.sum(axis=1, keepdims=True)
     return mean
 

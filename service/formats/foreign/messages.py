@@ -187,7 +187,6 @@ def _designator(line: str) -> str | None:
 
 
 def _first_value(content: str, keyword: str) -> str | None:
-    """Return the first value of a keyword of a message."""
     found = re.search(rf"^\s*{keyword}\s*=\s*(\S.*?)\s*$", content, re.MULTILINE)
     return None if found is None else found.group(1)
 

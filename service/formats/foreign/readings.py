@@ -93,7 +93,6 @@ def _parts(names: list[str]) -> dict[str, str]:
 
 
 def _axes_of(reader: TableReader, stated: ReadingsStatement) -> dict[Axis, str]:
-    """Return the column of each axis."""
     found: dict[Axis, list[str]] = {axis: [] for axis in AXES}
     for name in reader.rest:
         axis = stated.columns.get(name) if stated.columns else _axis_of(name)

@@ -246,7 +246,6 @@ def _is_data(cells: Sequence[str]) -> bool:
 
 
 def _of_text(text: str, stated: Container, notes: list[str]) -> Table:
-    """Return the table of a text."""
     separator, first = _stated_separator(stated.separator), stated.skip_lines
     if separator is None and (named := re.match(r'"?sep=(.)"?\s*\n', text)):
         separator, first = named.group(1), max(first, 1)
@@ -267,7 +266,6 @@ def _of_text(text: str, stated: Container, notes: list[str]) -> Table:
 
 
 def _stated_separator(stated: str | None) -> str | None:
-    """Return a stated separator as a sign."""
     if stated is None:
         return None
     found = _BY_NAME.get(stated.lower(), stated.replace("\\t", "\t"))
@@ -300,7 +298,6 @@ def _head_of(text: str, first: int) -> tuple[list[tuple[int, str]], dict[int, st
 
 
 def _split(line: str, separator: str) -> list[str]:
-    """Return the cells of a line."""
     if '"' in line:
         return next(csv.reader([line], delimiter=separator, skipinitialspace=separator != "\t"))
     return line.split() if separator == " " else line.split(separator)
@@ -368,7 +365,6 @@ def _top_of(rows: list[list[str]], comments: dict[int, str], separator: str) -> 
 
 
 def _is_unit_row(cells: Sequence[str]) -> bool:
-    """Return whether each cell of a row is a unit, and one at least."""
     held = [cell.strip(" ()[]").lower() for cell in cells if cell.strip(" ()[]")]
     return bool(held) and all(cell in _UNIT_WORDS for cell in held) and any(cell not in CODES for cell in held)
 

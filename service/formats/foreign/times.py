@@ -212,7 +212,6 @@ def read_epochs(texts: Any, clock: TableClock, decimal: str) -> Epochs:
 
 
 def _counted(texts: Any, kind: str, decimal: str) -> Epochs:
-    """Return the epochs of numbers."""
     import pyarrow as pa
     import pyarrow.compute as pc
 

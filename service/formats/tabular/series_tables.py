@@ -93,7 +93,6 @@ def _of_carriers(columns: MeasurementColumns, results: CarrierResults | None) ->
 
 
 def _placed(columns: MeasurementColumns, plan_id: int, values: Sequence[Any], nothing: Any) -> Sequence[Any]:
-    """Return the values of the carriers of a plan by column."""
     positions = columns.positions_of(plan_id)
     if positions is None:
         return values
@@ -254,7 +253,6 @@ def plain_value(value: Any) -> Any:
 
 
 def _member(name: str, value: Any) -> tuple[str, Any]:
-    """Return name and value of one field."""
     if name.endswith("_us") and isinstance(value, int):
         return name.removesuffix("_us"), format_epoch(value)
     return (name.removesuffix("_us") if name.endswith("_us") and value is None else name), plain_value(value)

@@ -187,7 +187,6 @@ def _parquet(table: SeriesTable[R], pages: Iterable[Sequence[R]]) -> Iterator[by
 
 
 def _arrow_value(kind: Kind, value: Any) -> Any:
-    """Return a value as Parquet keeps it."""
     if value is None or (kind == "figure" and math.isnan(value)):
         return None
     return _json(value) if kind == "document" else value
@@ -198,7 +197,6 @@ def _csv_line(fields: Sequence[str]) -> str:
 
 
 def _json(value: Any) -> str:
-    """Return compact JSON."""
     return json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
 
 

@@ -321,7 +321,6 @@ class TraceReader:
         return levels
 
     def _read_levels(self, trace: bytes | str, points: int) -> FloatArray:
-        """Return the numbers of a trace."""
         wanted = self._configuration.format
         if isinstance(trace, str) or not wanted.is_binary:
             return self._of_text(trace if isinstance(trace, str) else trace.decode("ascii"), points)
@@ -565,7 +564,6 @@ class ScpiDriver:
         return queries
 
     def _is_stale(self, sweep_id: str, trace: bytes | str, epoch_us: int) -> bool:
-        """Return whether a trace repeats the one before it."""
         previous_trace, previous_us = self._previous.get(sweep_id, (b"", 0))
         self._previous[sweep_id] = (trace, epoch_us)
         return previous_trace == trace and (previous_us == epoch_us or not self._use_analyzer_clock)

@@ -273,7 +273,6 @@ class SpoolDisk:
             self._lock = None
 
     def _consume(self, file: SpoolFile) -> SpoolFile:
-        """Make a file the one in use."""
         found = self._path.stat()
         self._inode = (found.st_dev, found.st_ino)
         self.last_seq = max(self.last_seq, file.last_seq)

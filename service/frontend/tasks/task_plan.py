@@ -186,7 +186,6 @@ def cycle_s(task: MeasurementTask) -> float:
 
 
 def _names(task: MeasurementTask) -> list[TaskFinding]:
-    """Check that names are unique."""
     findings = []
     for kind, ids in (("sweep", [s.id for s in task.sweeps]), ("carrier", [c.id for c in task.carriers])):
         twice = sorted({name for name in ids if ids.count(name) > 1})
@@ -206,7 +205,6 @@ def _period(task: MeasurementTask, period_s: float) -> list[TaskFinding]:
 
 
 def _sweep(sweep: SweepPart) -> list[TaskFinding]:
-    """Check one sweep by itself."""
     findings = []
     shortest_s = shortest_sweep_s(sweep)
     if sweep_time_s(sweep) < 0.999 * shortest_s:

@@ -135,7 +135,6 @@ class TraceSender:
 
 
 def _as_json(trace: SpooledTrace) -> dict[str, Any]:
-    """Return a trace as the contract has it."""
     levels = np.round(np.frombuffer(trace.power_dbm, dtype="<f4").astype(np.float64), _DECIMALS).tolist()
     return {
         "epoch": format_epoch(trace.epoch_us),
@@ -323,7 +322,6 @@ class Uploader:
             self._settle(reply, lane, rows)
 
     def _post(self, lane: UploadLane, rows: Sequence[SpooledRow], binding: plan_binding.PlanBinding) -> Any:
-        """Send rows and return the answer."""
         self._sent_at_s = time.monotonic()
         self.counters.requests += 1
         self.counters.backfill_requests += lane is UploadLane.BACKFILL
@@ -445,5 +443,4 @@ def _log_binding(binding: plan_binding.PlanBinding) -> None:
 
 
 def _at(each: SpooledRow) -> str:
-    """Return the epoch of a row as text."""
     return format_epoch(each.row.epoch_us)

@@ -363,7 +363,6 @@ class AlarmEngine:
         return repeat_s is not None and is_unattended and at_us - reported_us >= repeat_s * US_PER_S
 
     def _limits(self) -> dict[str, _InForce]:
-        """Return the limits in force."""
         limits = limits_in_force(self._conditions, self._stated, self._context.sets)
         return {name: _InForce(condition, limits[name]) for name, condition in self._conditions.items()}
 

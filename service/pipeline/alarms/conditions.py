@@ -34,7 +34,6 @@ def condition_table(alarms: AlarmConfig, robust: RobustConfig) -> dict[str, Alar
 
 
 def _of_carriers() -> tuple[AlarmCondition, ...]:
-    """Return the conditions of single carriers."""
     return (
         _condition(
             ("carrier_level", Kind.ABOVE, "dB", "carrier", Origin.ROW),
@@ -152,7 +151,6 @@ def _of_agreement(robust: RobustConfig) -> tuple[AlarmCondition, ...]:
 
 
 def _of_inputs(alarms: AlarmConfig) -> tuple[AlarmCondition, ...]:
-    """Return the conditions of sources and links."""
     return (
         _condition(
             ("data_stale", Kind.ABOVE, "row periods", "source", Origin.CLOCK),
@@ -191,7 +189,6 @@ def _of_inputs(alarms: AlarmConfig) -> tuple[AlarmCondition, ...]:
 
 
 def _of_release() -> tuple[AlarmCondition, ...]:
-    """Return the conditions of the release of torques."""
     return (
         _condition(
             ("control_tripped", Kind.ABOVE, "s", "reason", Origin.CLOCK),
@@ -338,7 +335,6 @@ def limits_in_force(
 
 
 def _changed(limits: ConditionLimits, name: str, stated: AlarmLimits, sets: Sequence[str]) -> ConditionLimits:
-    """Return the limits of one condition."""
     for chosen in sets:
         changes: dict[str, Any] = {**DEFAULT_SETS[chosen].get(name, {}), **stated.sets.get(chosen, {}).get(name, {})}
         limits = replace(limits, **changes) if changes else limits

@@ -376,12 +376,10 @@ class RowReader:
 
 
 def _by_thing(thing: str, cause: Explanation | None) -> dict[str, Explanation]:
-    """Return what explains the one thing of a condition."""
     return {} if cause is None else {thing: cause}
 
 
 def _fade_db(row: AttitudeRow) -> float:
-    """Return the fade that a row tells of."""
     if not row.downlink_fade:
         return 0.0
     return row.downlink_fade_db if row.downlink_fade_db > 0.0 else _SOME_FADE_DB

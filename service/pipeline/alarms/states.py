@@ -269,7 +269,6 @@ def _is_gone(kind: Kind, reported: float, limits: ConditionLimits) -> bool:
 
 
 def _is_beyond(kind: Kind, value: float, threshold: float) -> bool:
-    """Return whether a value has passed a limit."""
     if kind is Kind.LASTING:
         return value >= threshold
     return value < threshold if kind is Kind.BELOW else value > threshold

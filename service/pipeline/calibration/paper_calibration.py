@@ -201,7 +201,6 @@ def _carrier(
     is_usable: bool,
     is_selected: bool,
 ) -> CarrierCalibration:
-    """Return the record of one carrier."""
     noise = quiet.noise[k]
     start_us = node_us(data.ephemeris, int(data.quiet.epochs_us[-1]))
     harmonic = fitted_harmonic(quiet.fits, k, data.ephemeris.nodal_period_s, start_us)
@@ -245,7 +244,6 @@ def _reasons(k: int, verdicts: CarrierVerdicts) -> tuple[str, ...]:
 def _quality(
     quiet: _Quiet, angles_deg: FloatArray, sensitivity: TurnSensitivity, is_selected: BoolArray
 ) -> dict[str, float]:
-    """Return the figures of the whole."""
     return {
         "quiet_span_s": quiet.span_s,
         "quiet_rows": float(len(quiet.residual_db)),
@@ -261,7 +259,6 @@ def _quality(
 def _warnings(
     data: CalibrationInput, quiet: _Quiet, is_selected: BoolArray, config: CalibrationConfig
 ) -> tuple[str, ...]:
-    """Return the warnings for the operator who activates it."""
     warnings = []
     needed_s = config.short_quiet_periods * data.ephemeris.nodal_period_s
     if quiet.span_s < needed_s:

@@ -106,7 +106,6 @@ def _verdict(contradiction: str, doubt: str) -> tuple[MotionVerdict, str]:
 def _response(
     data: CalibrationInput, records: list[TelemetryRecord], spacecraft: Spacecraft, config: CalibrationConfig
 ) -> MomentumResponse:
-    """Return the response of the records to the turns."""
     epochs_us = epochs_of(records)
     yaw, roll, pitch = angle_inertia_kg_m2(spacecraft)
     return momentum_response(
@@ -126,7 +125,6 @@ def _is_slewing(data: CalibrationInput, epochs_us: IntArray, config: Calibration
 
 
 def _judged(response: MomentumResponse, stated: WheelMomentum, config: CalibrationConfig) -> AxesCheck:
-    """Return what the response says of the telemetry."""
     pitch, bias = float(response.mean_n_m_s[1]), stated.pitch_bias_n_m_s
     contradiction = _contradiction(response, response.deviation(stated.scale_error))
     least_n_m_s = math.inf if bias is None or abs(bias) < _LEAST_N_M_S else config.momentum_bias_share * abs(bias)
@@ -210,7 +208,6 @@ def rate_warnings(data: CalibrationInput, check: AxesCheck | None) -> tuple[str,
 
 
 def _judged_rates(response: RateResponse, bias_deg_h: float) -> AxesCheck:
-    """Return what the response says of the telemetry."""
     values, sigma = (part.diagonal()[list(_NAMED)].tolist() for part in (response.coefficient, response.sigma))
     doubt = "rates that stand still, or too few turns: the response of an axis is known worse than to 0.2"
     verdict, reason = _verdict(
@@ -283,7 +280,6 @@ def polarimeter_warnings(checks: tuple[PolarimeterCheck, ...]) -> tuple[str, ...
 def _polarimeter_check(
     data: CalibrationInput, config: CalibrationConfig, spacecraft: Spacecraft, polarimeter: Polarimeter
 ) -> PolarimeterCheck:
-    """Return the check of one polarimeter."""
     source, records = polarimeter.source, _polarization(data, polarimeter, data.request.turns)
     if len(records) < _LEAST_RECORDS:
         return PolarimeterCheck(source, MotionVerdict.UNCHECKED, _too_few("", len(records)))
@@ -368,7 +364,6 @@ def _expected_deg(
 
 
 def _judged_angle(source: str, response: AngleResponse) -> PolarimeterCheck:
-    """Return what the response says of a polarimeter."""
     sigmas, contradiction = response.deviation(), ""
     if sigmas > _SIGMAS:
         contradiction = (

@@ -67,7 +67,6 @@ def without_group_means(power_dbm: FloatArray, model_dbm: FloatArray, group: Int
 
 
 def _is_coupled(transponder_mode: str) -> bool:
-    """Return whether a mode of a transponder couples its carriers."""
     return transponder_mode == "alc"
 
 

@@ -411,7 +411,6 @@ def is_rate_in_loop(spacecraft: Spacecraft | None) -> bool:
 
 
 def _profile(reported: FedForwardTorque, spacecraft: Spacecraft) -> FedForward:
-    """Return a profile as accelerations."""
     period_us = round(reported.period_s * US_PER_S)
     phase = 2.0 * math.pi * (reported.epoch_us % period_us) / period_us
     constant, cosine, sine = (

@@ -204,7 +204,6 @@ def _median(numbers: list[float]) -> float:
 
 
 def _stands_still(records: list[PolarizationRecord]) -> bool:
-    """Return whether records repeat the first one."""
     first = records[0]
     return len(records) > 1 and all(
         (each.ratio_db, each.angle_deg) == (first.ratio_db, first.angle_deg) for each in records

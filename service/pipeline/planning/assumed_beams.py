@@ -389,7 +389,6 @@ def _usual(names: list[str], transponders: list[str], slope: FloatArray, candida
 
 
 def _name(latitude_deg: float, longitude_deg: float) -> str:
-    """Return the name of a site as latitude and longitude."""
     east_deg = (longitude_deg + 180.0) % 360.0 - 180.0
     return (
         f"{abs(latitude_deg):.0f}{'N' if latitude_deg >= 0 else 'S'} {abs(east_deg):.0f}{'E' if east_deg >= 0 else 'W'}"

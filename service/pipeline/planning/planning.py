@@ -222,7 +222,6 @@ def motion_gain(
 
 
 def _powers(candidates: Candidates, chosen: IntArray) -> tuple[FloatArray, ColouredNoise]:
-    """Return slopes and noise of some carriers."""
     return candidates.sensitivity_db_per_deg[chosen], ColouredNoise(*(part[chosen] for part in candidates.noise))
 
 

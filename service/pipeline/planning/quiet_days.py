@@ -98,7 +98,6 @@ def _edge(is_moved: BoolArray, position: int, step: int) -> int:
 
 
 def _around(epochs_us: IntArray, turns: Window, begin_us: int) -> FlownWindows:
-    """Return the windows around some turns."""
     shortcomings = []
     quiet: Window | None = Window(max(begin_us, turns.start_us - _LONGEST_QUIET_US), turns.start_us)
     if turns.start_us - begin_us < _SHORTEST_QUIET_US:
@@ -115,7 +114,6 @@ def _around(epochs_us: IntArray, turns: Window, begin_us: int) -> FlownWindows:
 
 
 def _within(epochs_us: IntArray, angles_deg: FloatArray, window: Window) -> FloatArray:
-    """Return the angles of a window."""
     inside: FloatArray = angles_deg[(epochs_us >= window.start_us) & (epochs_us < window.stop_us)]
     return inside
 

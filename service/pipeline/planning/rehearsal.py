@@ -189,7 +189,6 @@ def _stepped(chain: Chain, series: MeasurementSeries) -> Iterator[AttitudeRow]:
 
 
 def _part(series: MeasurementSeries, rows: BoolArray) -> MeasurementSeries:
-    """Return some rows of a series."""
     return MeasurementSeries(series.carrier_ids, series.epochs_us[rows], series.power_dbm[rows])
 
 

@@ -352,7 +352,6 @@ def findings(
 
 
 def _against_former(entry: AuditEntry, former: AuditHead) -> Iterator[ChainFinding]:
-    """Yield the faults of one entry."""
     if entry.number != former.number + 1:
         yield ChainFinding(former.number + 1, "missing", f"after number {former.number} comes {entry.number}")
     elif entry.previous_hash != former.hash:

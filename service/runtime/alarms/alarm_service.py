@@ -276,7 +276,6 @@ class AlarmService:
         self._check_clock()
 
     def _check_rows(self) -> None:
-        """Process all rows that wait."""
         with self._lock:
             while self._queue:
                 spacecraft_id, seen = self._queue.popleft()

@@ -237,7 +237,6 @@ class Mail:
             raise DeliveryError(type(error).__name__) from None
 
     def _connection(self) -> smtplib.SMTP:
-        """Return an open connection."""
         route = self._route
         if route.security == "tls":
             context = ssl.create_default_context()
@@ -248,7 +247,6 @@ class Mail:
         return connection
 
     def _letter(self, notice: dict[str, Any]) -> EmailMessage:
-        """Return the letter of a notice."""
         letter = EmailMessage()
         about = notice["spacecraft_id"] or "service"
         subject = f"[{notice['severity']}] {about}: {notice['condition']} {notice['thing']} {notice['change']}"
@@ -308,7 +306,6 @@ class Webhook:
             raise DeliveryError(f"answered {answer.status_code}", is_final=is_final)
 
     def _signature(self, body: bytes) -> dict[str, str]:
-        """Return the headers that sign a body."""
         timestamp = str(self._now_us() // US_PER_S)
         if not self._secret:
             return {"SOO-Timestamp": timestamp}

@@ -243,7 +243,6 @@ class ReleaseLoop:
             return replace(release.known, inputs=replace(release.known.inputs, damaged_documents=damaged))
 
     def _on_row(self, release: SpacecraftRelease, stored: StoredRow) -> None:
-        """Handle one row."""
         epochs_us = [row.epoch_us for row in stored.outcome.rows]
         at = self._instant(release, max(epochs_us, default=None))
         self._update_inputs(release, at)

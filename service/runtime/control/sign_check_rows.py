@@ -79,7 +79,6 @@ class SignCheckRows:
     def _weighed(
         self, check: SignCheck, model: CarrierModel, epochs_us: FloatArray, deviation_db: FloatArray
     ) -> SignDecision:
-        """Return the decision of some rows."""
         size = math.ceil(len(epochs_us) / _MOST_ROWS)
         model = model._replace(white_sigma_db=model.white_sigma_db / math.sqrt(size))
         epochs_us, deviation_db = _averaged(epochs_us, deviation_db, size)

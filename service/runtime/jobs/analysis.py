@@ -137,7 +137,6 @@ def wanted_count(candidates: Candidates, count: int | None, origin: str) -> int:
 
 
 def _wanted_carriers(plan: CarrierPlan, carrier: str | None) -> tuple[str, ...]:
-    """Return the carriers to fit."""
     if carrier is None:
         return plan.carrier_ids
     if carrier not in plan.carrier_ids:
@@ -158,7 +157,6 @@ def _judging(storage: Storage, spacecraft_id: str) -> tuple[Calibration, Calibra
 
 
 def _notes(calibration: Calibration, result: CalibrationResult, plan: CarrierPlan) -> tuple[str, ...]:
-    """Return notes on the validity of the figures."""
     notes = []
     known = {carrier.id for carrier in result.carriers}
     fresh = [carrier.id for carrier in plan.carriers if carrier.id not in known and carrier.is_usable_for_attitude]

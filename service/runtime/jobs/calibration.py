@@ -247,7 +247,6 @@ class Aligner:
         return self._storage.results.add_alignment(spacecraft_id, alignment)
 
     def _warnings(self, spacecraft_id: str) -> tuple[str, ...]:
-        """Return warnings on gaps of the catalogue."""
         onboard = self._storage.catalogue.spacecraft(spacecraft_id).onboard
         return (_UNKNOWN_COUPLING,) if onboard.roll_yaw_coupling is None else ()
 

@@ -56,7 +56,6 @@ def kept(folder: Path, unit: LoopUnit) -> LoopResult | None:
 
 
 def _unit(announced: dict[str, object]) -> LoopUnit:
-    """Return the unit of a file."""
     named = {name: tuple(value) if isinstance(value, list) else value for name, value in announced.items()}
     enums = {"sensing": Sensing(str(named["sensing"])), "method": Method(str(named["method"]))}
     return LoopUnit(**{**named, **enums})  # type: ignore[arg-type]

@@ -178,7 +178,6 @@ class Centre:
         return ControllerOutput(schedule, is_inhibited, angles, interlock.reasons, product)
 
     def _facts(self) -> KnownFacts:
-        """Return the facts of the archive."""
         known = self.chain.knowledge
         if known.spacecraft is None or known.ephemeris is None or known.plan is None:
             raise ValueError("a flight begins with spacecraft, ephemeris and plan")

@@ -29,7 +29,6 @@ def draw_campaign(campaign: LoopCampaign, folder: Path) -> list[Path]:
 
 
 def _flights(campaign: LoopCampaign, scenario: str, sensing: Sensing) -> list[FlownRun]:
-    """Return what was flown."""
     found = [one for one in campaign.results if one.unit.scenario == scenario and one.unit.sensing is sensing]
     return [one.flight for one in found if one.flight is not None]
 

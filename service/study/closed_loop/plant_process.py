@@ -197,7 +197,6 @@ class PlantProcess:
         self._process.stdin.flush()
 
     def _line(self) -> Line:
-        """Return the next line."""
         text = "" if self._process.stdout is None else self._process.stdout.readline()
         if not text:
             announced = "" if self._process.stderr is None else self._process.stderr.read().strip()
@@ -208,7 +207,6 @@ class PlantProcess:
 
 
 def _row(here: _Gathered, power_dbm: FloatArray | None) -> PlantRow:
-    """Return what was gathered as a row."""
     line = here.truth or {}
     truth = SpacecraftTruth(
         parse_epoch(line["epoch"]),

@@ -200,7 +200,6 @@ def _angles(product: UplinkProduct) -> dict[str, Any]:
 
 
 def _fly(plant: PlantProcess, controller: Controller, journal: GroundJournal, unit: LoopUnit) -> FlownRun:
-    """Fly to the end of the story."""
     truth: list[SpacecraftTruth] = []
     estimates, inhibited, faded, reasons = [], [], [], Counter[str]()
     impulse, reported, sent = np.zeros(3), dict.fromkeys(STATES, 0), 0

@@ -263,7 +263,6 @@ def _keep_truth(story: Story, message: dict[str, Any]) -> None:
 
 
 def _keep_sensors(story: Story, message: dict[str, Any]) -> None:
-    """Note which sensor tells which axis."""
     body = message["body"]
     for axis in AXES:
         if any(row[f"{axis}_deg"] is not None for row in body["references"]):

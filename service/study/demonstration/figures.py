@@ -69,5 +69,4 @@ def _draw_driving(plot: Axes, driving: TrackedAngles, hours: FloatArray, k: int)
 
 
 def _hours(tracked: TrackedAngles) -> FloatArray:
-    """Return the hours of operation of each row."""
     return np.asarray((tracked.epochs_us - tracked.epochs_us[0]) / US_PER_S / 3600.0)

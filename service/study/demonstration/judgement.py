@@ -107,7 +107,6 @@ def compare_with_live(
 
 
 def _key(row: Attitude) -> tuple[str | None, str | None]:
-    """Return what names a row of one method."""
     return row["epoch"], row["received_at"]
 
 

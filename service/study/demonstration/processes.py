@@ -156,7 +156,6 @@ class ChildProcess:
         return announcement
 
     def _last_lines(self) -> str:
-        """Return the end of the log."""
         return "\n".join(self.log_path.read_text(errors="replace").splitlines()[-12:])
 
 

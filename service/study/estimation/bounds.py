@@ -295,7 +295,6 @@ def _limit(value: Limit | float | None) -> Limit | None:
 
 
 def _skills(values: Sequence[float]) -> list[Limit]:
-    """Return limits from below."""
     return [at_least(value) for value in values]
 
 
@@ -311,7 +310,6 @@ def _skill() -> list[Bound]:
 
 
 def _accuracy() -> list[Bound]:
-    """Return the bounds of errors."""
     bounds = [
         *_angles("nominal", "rms_deg", (0.13, 0.025, 0.030), (0.085, 0.015, 0.018), is_goal_asked=True),
         *_angles("nominal", "p95_deg", (0.27, 0.05, 0.06), (0.18, 0.03, 0.04)),

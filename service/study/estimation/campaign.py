@@ -225,7 +225,6 @@ def _baselines(world: World, driven: Driven) -> dict[str, bounds.Accuracy]:
 
 
 def _course(world: World, driven: Driven) -> Course:
-    """Return what is drawn."""
     rows = driven.rows
     hours = (world.ground.epochs_us[rows] - world.ground.phases["operation"].start_us) / 3.6e9
     return Course(

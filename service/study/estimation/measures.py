@@ -117,7 +117,6 @@ def _control(
     is_night: BoolArray,
     row_min: float,
 ) -> ControlOutcome:
-    """Return what control would have done."""
     is_allowed, is_dry = series.is_control_allowed[judged], fade_db == 0.0
     nights = episodes.stretches(is_night)
     return ControlOutcome(
@@ -156,7 +155,6 @@ def statistics_of(seeds: Sequence[Measures]) -> Statistics:
 
 
 def _mean(values: Sequence[float]) -> float:
-    """Return the mean of the seeds."""
     return float(np.mean(values))
 
 

@@ -99,7 +99,6 @@ def _paragraph(text: str, bullet: str = "") -> list[str]:
 
 
 def _line(cells: Sequence[str]) -> str:
-    """Return one line of a table in Markdown."""
     return f"| {' | '.join(cells)} |"
 
 
@@ -186,7 +185,6 @@ def _baselines(campaign: Campaign) -> ReportTable:
 
 
 def _control(campaign: Campaign) -> ReportTable:
-    """Return what control would have done."""
     return _table(
         "Control",
         "method",
@@ -280,7 +278,6 @@ def _without_axis(figure: str) -> tuple[str, str]:
 
 
 def _figure_of(judged: Judged) -> tuple[str, str, str]:
-    """Return what the axes of one figure have in common."""
     return judged.bound.scenario, judged.bound.method, _without_axis(judged.bound.figure)[0]
 
 
@@ -301,7 +298,6 @@ def _joined(parts: Sequence[str]) -> str:
 
 
 def _figure(name: str, digits: int) -> Cell:
-    """Return the cell of one figure."""
     return lambda statistics: _number(statistics.get(name), digits)
 
 
@@ -370,7 +366,6 @@ def as_document(campaign: Campaign, command: str) -> dict[str, Any]:
 
 
 def _bound_document(judged: Judged) -> dict[str, Any]:
-    """Return one bound with its mark."""
     bound = judged.bound
     return {
         "scenario": bound.scenario,

@@ -131,7 +131,6 @@ class CaptureCase(NamedTuple):
 def _two_lines(
     omega: float, coupling: float, xi: float, rate: float, formula: float, least: float | None = None
 ) -> CaptureCase:
-    """Return a relay with hysteresis."""
     found = formula if least is None else least
     return CaptureCase(omega, coupling, xi, rate, ALPHA_RAD, BETA_RAD, math.inf, formula, found)
 

@@ -189,7 +189,6 @@ def basin_count(name: str, follower: Follow = follow) -> int:
 
 
 def _basins(follower: Follow) -> list[Row]:
-    """Return sizes of basins."""
     return [
         _compared(name, "starts of 60 that reach the cycle", count, basin_count(name, follower), 0.0)
         for name, count in reference.BASINS.items()
@@ -263,7 +262,6 @@ def capture_table() -> list[Row]:
 
 
 def _name(case: CaptureCase) -> str:
-    """Return a case in words."""
     law = "one line" if case.alpha_rad == case.beta_rad else "two lines" if math.isinf(case.pulse_s) else "timed"
     return f"w {case.omega_rad_s:g}, kn {case.coupling:g}, xi {case.damping_ratio:g}, rate {case.rate_rad_s:g}, {law}"
 

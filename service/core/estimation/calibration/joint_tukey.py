@@ -160,7 +160,6 @@ def trimmed_fit(columns: FloatArray, values: FloatArray, is_present: BoolArray, 
 
 
 def _fit_one(columns: FloatArray, values: FloatArray, sets: int) -> FloatArray:
-    """Return the coefficients of one carrier."""
     samples, size = columns.shape
     if samples <= size:
         return np.zeros(size)

@@ -196,7 +196,6 @@ class _Relation(NamedTuple):
 
 
 def _relation(geometry: CarrierGeometry, used: IntArray) -> _Relation:
-    """Return the relation of some carriers."""
     position = geometry.displacement()
     by_yaw, count = position[used, :, 0], np.arange(len(used))
     nuisance = np.zeros((len(used), 1 + 2 * geometry.bands))

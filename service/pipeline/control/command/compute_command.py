@@ -376,7 +376,6 @@ def _known_torque(disturbance: Disturbance | None, start_us: int) -> KnownTorque
 
 
 def _horizon(spacecraft: Spacecraft, span: Span, config: TorqueConfig) -> Horizon:
-    """Return the parts of a horizon."""
     # a longer horizon may become as short as the slew, and the command's span with it
     period_s, usual_s = float(span.period_s), spacecraft.control.command_period_s
     least_s = period_s if period_s <= usual_s else 0.0

@@ -437,7 +437,6 @@ def _checked(
 
 
 def _modes_by_axis(spacecraft: Spacecraft) -> dict[str, list[int]]:
-    """Return the places of the modes of each axis that has one."""
     positions: dict[str, list[int]] = {}
     for position, mode in enumerate(spacecraft.modes):
         positions.setdefault(mode.axis, []).append(position)
@@ -445,7 +444,6 @@ def _modes_by_axis(spacecraft: Spacecraft) -> dict[str, list[int]]:
 
 
 def _pulses(schedule: Sequence[Pulse], axis: str, start_us: int) -> tuple[TorquePulse, ...]:
-    """Return the pulses about one axis."""
     position = _POSITIONS[axis]
     return ordered_schedule(
         tuple(
@@ -473,7 +471,6 @@ def _inertia(spacecraft: Spacecraft, axis: str) -> float:
 
 
 def _in_words(suggestions: tuple[Suggestion, ...]) -> str | None:
-    """Return the best suggestion."""
     if not suggestions:
         return None
     best = suggestions[0]

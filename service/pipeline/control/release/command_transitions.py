@@ -237,7 +237,6 @@ def _with_replaced(state: ReleaseState) -> ReleaseState:
 
 
 def _reported_part(command: Command, event: events.Report) -> tuple[Pulse, ...]:
-    """Return what a report says was executed."""
     from_us, until_us = event.executed_from_us, event.executed_until_us
     if from_us is None and until_us is None:
         return command.schedule if event.transition is CommandTransition.EXECUTED else ()
@@ -246,7 +245,6 @@ def _reported_part(command: Command, event: events.Report) -> tuple[Pulse, ...]:
 
 
 def _torque_product(command: Command, released_us: int) -> UplinkProduct:
-    """Return the uplink product of a released command."""
     return UplinkProduct(
         form=ProductForm.TORQUES,
         counter=command.counter,

@@ -306,7 +306,6 @@ def essence(state: ReleaseState) -> tuple[object, ...]:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value as what JSON knows."""
     if isinstance(value, Enum):
         return value.name
     kind: Any = type(value)
@@ -317,7 +316,6 @@ def _plain(value: Any) -> Any:
 
 
 def _read(kind: Any, value: Any) -> Any:
-    """Return the value of a kind."""
     if get_origin(kind) is UnionType:
         if value is None:
             return None

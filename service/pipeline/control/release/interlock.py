@@ -270,7 +270,6 @@ def _shift_us(before: Instant, at: Instant) -> int | None:
 
 
 def _has_ended(interlock: Interlock, at: Instant) -> bool:
-    """Return whether the authorisation is over."""
     return interlock.authorisation is not None and at.now_us >= interlock.authorisation.terms.until_us
 
 

@@ -70,7 +70,6 @@ def _tail_checks(state: ReleaseState, command: Command) -> tuple[CommandCheck, .
 
 
 def _schedule_checks(command: Command, at: Instant, settings: ReleaseSettings) -> tuple[CommandCheck, ...]:
-    """Return the checks of the schedule itself."""
     soonest_us = at.now_us + microseconds(settings.uplink_lead_s)
     latest_us = at.now_us + microseconds(settings.latest_stop_s)
     stop_us = max(command.start_us, command.stop_us, *(pulse.stop_us for pulse in command.schedule))

@@ -279,7 +279,6 @@ def _contradicted(spacecraft: Spacecraft | None, calibration: Calibration) -> fr
 def _filter_settings(
     spacecraft: Spacecraft | None, config: RobustConfig, calibration: Calibration, aligned_us: int
 ) -> FilterSettings:
-    """Return the settings of the filter for the spacecraft."""
     settings, momentum = motion_settings(spacecraft, config), momentum_model(spacecraft, calibration, aligned_us)
     if momentum is not None:
         # the momentum of the wheels tells a torque: none is none

@@ -87,7 +87,6 @@ class Past:
 
 
 def _past_series(found: list[SmoothedRow]) -> PastSeries:
-    """Return smoothed rows as arrays."""
     sigma = [np.sqrt(np.diag(each.state.covariance)[_ANGLES]) for each in found]
     return PastSeries(
         np.array([each.epoch_us for each in found], dtype=np.int64),

@@ -338,7 +338,6 @@ def world_of(arrays: Arrays) -> World:
 
 
 def _ground(arrays: Arrays) -> Ground:
-    """Return what the ground knows."""
     lines = {line["kind"]: line.get("body") for line in json.loads(str(arrays["catalogue_json"]))}
     spans = zip(arrays["phase_name"], arrays["phase_start_us"], arrays["phase_stop_us"], strict=True)
     corrections = _corrections(arrays)
@@ -433,5 +432,4 @@ def _by_axis(arrays: Arrays, prefix: str) -> FloatArray:
 
 
 def _within(epochs_us: IntArray, window: Window) -> BoolArray:
-    """Return which epochs lie in a window."""
     return np.asarray((epochs_us >= window.start_us) & (epochs_us < window.stop_us))

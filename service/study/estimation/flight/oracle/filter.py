@@ -133,7 +133,6 @@ class PolarimeterStates(MeasuredStates):
 
 
 def _records(ground: Ground) -> dict[int, PolarizationRecord]:
-    """Return the records by epoch."""
     found = (event.content for event in ground.events if isinstance(event.content, PolarizationRecord))
     return {record.epoch_us: record for record in found}
 
@@ -174,7 +173,6 @@ class WheelStates(MeasuredStates):
         return np.array([0.0, self._statistics.bias_n_m_s, 0.0]), np.array([left, 0.0, left])
 
     def _beginning(self) -> OracleState:
-        """Return the states at the first row."""
         true, wave = self._statistics, np.tile(np.array(self._statistics.torque_n_m) / math.sqrt(2.0), 2)
         mean, covariance = np.zeros(_STATES), np.zeros((_STATES, _STATES))
         mean[_MOMENTUM], sigma = self._unloaded
@@ -502,7 +500,6 @@ def _motion(hours: float, *, is_coupled: bool) -> tuple[FloatArray, FloatArray]:
 
 
 def _states(statistics: TrueStatistics) -> _States:
-    """Return the states of the noise."""
     carriers = len(statistics.white_db)
     all_of_them, infinite = np.ones(carriers), np.inf
     made: list[tuple[float, float, FloatArray, str]] = []
