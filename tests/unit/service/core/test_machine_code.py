@@ -5,6 +5,7 @@ import json
 import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import filter_models
@@ -12,12 +13,14 @@ import numpy as np
 import pytest
 from filter_rows import step
 from numba.core import caching
+from numba.core.codegen import JITCodeLibrary
+from numba.core.registry import cpu_target
 
 from service.core.compiled_entry import CompiledEntry
 from service.core.estimation.filtering.filter_model import no_motion
 from service.core.estimation.filtering.filter_state import start
 from service.core.estimation.filtering.plant import filter_model
-from service.core.machine_code import compiled_with
+from service.core.machine_code import compiled, compiled_with, whole_code
 
 CALLED = "FACTOR = {factor}\n\ndef scaled(values):\n    return FACTOR * values\n"
 ENTRY = "from called_arithmetic import scaled\n\ndef run(values):\n    return scaled(values) + 1.0\n"
@@ -109,6 +112,26 @@ def test_other_forms_of_arrays_are_brought_into_the_one_that_is_compiled(fresh):
     with pytest.raises(TypeError):
         entry(np.arange(6))
     assert len(entry._compiled.signatures) == 1
+
+
+def test_entries_that_threads_compile_at_once_are_right_and_leave_the_compiler_as_it_was(fresh):
+    fresh()
+    modules = [sys.modules[name] for name in MODULES]
+    codegen = cpu_target.target_context.codegen()
+    entries = [CompiledEntry(modules[1].run, modules) for _ in range(4)]
+    with ThreadPoolExecutor(4) as pool:
+        for answer in pool.map(lambda entry: entry(np.arange(3.0)), entries):
+            np.testing.assert_array_equal(answer, 2.0 * np.arange(3.0) + 1.0)
+    assert codegen._library_class is JITCodeLibrary
+    assert "set_env" not in vars(codegen)
+    # what is compiled on another road afterwards finds the inner functions as they should be
+    assert compiled(lambda values: values.sum() + 1.0)(TWO) == 3.0
+
+
+def test_code_optimised_as_a_whole_is_read_by_the_next_process(fresh):
+    with whole_code():
+        first = fresh()
+    assert [hits(first), hits(fresh())] == [0, 1]
 
 
 def filtered():
