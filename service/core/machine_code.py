@@ -49,7 +49,7 @@ class _KeptCode(FunctionCache):
 
 
 class _WholeCode(JITCodeLibrary):
-    """Code of a function and of all that it calls, optimised once and not anew at each function on the way up.
+    """Code of a function and of all that it calls, optimised once, not again at each function on the way up.
 
     Half of the compiler's time. Machine code is made where it is asked for: of the entry, never of what it calls.
     """

@@ -237,6 +237,10 @@ class Spacecraft:
     #: each measures yaw by polarisation
     polarimeters: tuple[Polarimeter, ...] = ()
 
+    def __hash__(self) -> int:
+        """Return a number by the id: each row asks for what is designed for its spacecraft."""
+        return hash(self.id)
+
 
 @dataclass(frozen=True, slots=True)
 class Station:

@@ -206,21 +206,26 @@ def carrier_results(
         return results
     calibrated = next(iter(levels.values())).carrier_ids
     columns = _columns(plan.carrier_ids, calibrated)
-    states = np.where([each.is_used for each in levels.values()], _USED, _UNSELECTED)
+    states = np.where(_together([each.is_used for each in levels.values()]), _USED, _UNSELECTED)
     for place, number in enumerate(levels):
         for exclusion in rows[number].row.excluded:
             # the levels need not know it
             if exclusion.carrier in calibrated:
                 states[place, calibrated.index(exclusion.carrier)] = _EXCLUDED
     state = columns.of(states, _UNCALIBRATED)
-    state[np.isnan([measurements[number].power_dbm for number in levels])] = _ABSENT
-    deviation_db = columns.of(np.array([each.deviation_db for each in levels.values()]), np.nan)
-    residual_db = columns.of(np.array([each.residual_db for each in levels.values()]), np.nan)
-    hypothesis = columns.of(np.array([each.hypothesis for each in levels.values()]), 0)
+    state[np.isnan(_together([measurements[number].power_dbm for number in levels]))] = _ABSENT
+    deviation_db = columns.of(_together([each.deviation_db for each in levels.values()]), np.nan)
+    residual_db = columns.of(_together([each.residual_db for each in levels.values()]), np.nan)
+    hypothesis = columns.of(_together([each.hypothesis for each in levels.values()]), 0)
     figures = zip(deviation_db, residual_db, state, hypothesis, strict=True)
     for number, each in zip(levels, figures, strict=True):
         results[number] = CarrierResults(plan.id, *each)
     return results
+
+
+def _together(rows: list[NDArray[Any]]) -> NDArray[Any]:
+    """Return rows (N,) as an array (T, N); a single one, as it comes live, is not copied."""
+    return np.array(rows) if len(rows) > 1 else rows[0][np.newaxis]
 
 
 @lru_cache(maxsize=256)
