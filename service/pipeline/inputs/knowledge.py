@@ -294,12 +294,13 @@ def _with_word(
 
 def _with_telemetry(records: tuple[TelemetryRecord, ...], record: TelemetryRecord) -> tuple[TelemetryRecord, ...]:
     """Return the newest records with one more; of two of one epoch the first counts."""
-    k = len(records)
-    if records and record.epoch_us <= records[-1].epoch_us:
-        k = bisect_left(records, record.epoch_us, key=_epoch_us)
-        if records[k].epoch_us == record.epoch_us:
-            return records
-    return (*records[max(0, len(records) + 1 - _MOST_RECORDS) : k], record, *records[k:])
+    if not records or record.epoch_us > records[-1].epoch_us:
+        # thousands of them: an unpacked tuple would be copied twice
+        return (records if len(records) < _MOST_RECORDS else records[1:]) + (record,)
+    k = bisect_left(records, record.epoch_us, key=_epoch_us)
+    if records[k].epoch_us == record.epoch_us:
+        return records
+    return (*records[:k], record, *records[k:])[-_MOST_RECORDS:]
 
 
 def records_between(records: tuple[TelemetryRecord, ...], after_us: int, to_us: int) -> tuple[TelemetryRecord, ...]:

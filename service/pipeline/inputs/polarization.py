@@ -183,17 +183,18 @@ def due_block(
     if not records or records[-1].epoch_us - after_us < _BLOCK_US:
         return None
     since_us = max(after_us, epoch_us - _LATE_US)
-    fresh = [each for each in records if since_us < each.epoch_us <= epoch_us]
+    first = bisect_right(records, since_us, key=_epoch_us)
+    fresh = records[first : bisect_right(records, epoch_us, lo=first, key=_epoch_us)]
     if not fresh or fresh[-1].epoch_us - after_us < _BLOCK_US or _stands_still(fresh):
         return None
     angles_deg = [measured_angle_deg(each, polarimeter) for each in fresh]
-    variances = np.square([noise_deg(each, polarimeter) for each in fresh])
+    variance_deg2 = sum(noise_deg(each, polarimeter) ** 2 for each in fresh) / len(fresh)
     powers = [each.co_power_dbm for each in fresh if each.co_power_dbm is not None]
     return AngleBlock(
         fresh[-1].epoch_us,
         _median(angles_deg),
         # of a median of some records
-        0.5 * math.pi * float(variances.mean()) / len(fresh),
+        0.5 * math.pi * variance_deg2 / len(fresh),
         _median(powers) if powers else math.nan,
     )
 
@@ -203,7 +204,7 @@ def _median(numbers: list[float]) -> float:
     return statistics.median(numbers) if all(map(math.isfinite, numbers)) else math.nan
 
 
-def _stands_still(records: list[PolarizationRecord]) -> bool:
+def _stands_still(records: Sequence[PolarizationRecord]) -> bool:
     first = records[0]
     return len(records) > 1 and all(
         (each.ratio_db, each.angle_deg) == (first.ratio_db, first.angle_deg) for each in records
