@@ -87,9 +87,14 @@ class Database:
         with translated_faults(), self.engines.read.connect() as connection:
             yield connection
 
-    def submit(self, work: Callable[[Connection], Result], key: int | None = None) -> Future[Result]:
-        """Queue a write; the future resolves after its commit."""
-        return self._writer.submit(work, key)
+    def submit(
+        self,
+        work: Callable[[Connection], Result],
+        reported: Callable[[Result], None] | None = None,
+        key: int | None = None,
+    ) -> Future[Result]:
+        """Queue a write; after its commit the result is reported, in the order of commits, and the future resolves."""
+        return self._writer.submit(work, reported, key)
 
     def write(self, work: Callable[[Connection], Result], key: int | None = None) -> Result:
         """Do a write and wait for its commit; a request's first write takes the request's audit entry along.

@@ -108,10 +108,13 @@ _log = logging.getLogger(__name__)
 class _Task(Generic[Result]):
     """One function on its way through the queue."""
 
-    def __init__(self, work: Callable[[Connection], Result], key: int | None) -> None:
+    def __init__(
+        self, work: Callable[[Connection], Result], reported: Callable[[Result], None] | None, key: int | None
+    ) -> None:
         self.work = work
         #: of the spacecraft that alone is written; None = any
         self.key = key
+        self._reported = reported
         self.future: Future[Result] = Future()
         self.result: Result | None = None
         self.fault: BaseException | None = None
@@ -120,8 +123,13 @@ class _Task(Generic[Result]):
         """Resolve the caller's future with the result or the error."""
         if self.fault is not None:
             self.future.set_exception(_reported(self.fault))
-        else:
-            self.future.set_result(self.result)  # type: ignore[arg-type]  # set by the work
+            return
+        try:
+            if self._reported is not None:
+                self._reported(self.result)  # type: ignore[arg-type]  # set by the work
+        except Exception:  # noqa: BLE001 the rows are stored, also where a subscriber fails
+            _log.exception("publishing stored rows failed; they are in the archive and are published from its journal")
+        self.future.set_result(self.result)  # type: ignore[arg-type]
 
 
 class Writer:
@@ -144,13 +152,19 @@ class Writer:
         self._thread = Thread(target=self._serve, name="storage-writer", daemon=True)
         self._thread.start()
 
-    def submit(self, work: Callable[[Connection], Result], key: int | None = None) -> Future[Result]:
+    def submit(
+        self,
+        work: Callable[[Connection], Result],
+        reported: Callable[[Result], None] | None = None,
+        key: int | None = None,
+    ) -> Future[Result]:
         """Queue a function; its future resolves after the commit.
 
-        A function that writes one spacecraft, under the lock of its head, names it by its key: writers of others, in
+        ``reported`` gets the result between commit and future, in the order of the commits; it must be quick. A
+        function that writes one spacecraft, under the lock of its head, names it by its key: writers of others, in
         other processes, do not wait for it.
         """
-        task = _Task(work, key)
+        task = _Task(work, reported, key)
         with self._lock:
             if self._is_closed:
                 raise StorageError("storage.closed", "The archive is closing.")

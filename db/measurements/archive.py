@@ -4,7 +4,7 @@ Storing slow inputs: references, corrections, telemetry, weather, polarisation, 
 """
 
 from bisect import bisect_right
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import replace
 from functools import partial
@@ -184,6 +184,7 @@ class SqlArchive:
         self._database = database
         #: carriers of the plans met; a stored plan never changes
         self._carriers: dict[tuple[int, int], tuple[str, ...]] = {}
+        self._listener: Callable[[MeasurementBatch, BatchReceipt], None] | None = None
 
     def append_measurements(self, batch: MeasurementBatch) -> Future[BatchReceipt]:
         """Store and journal the rows of a batch; the future resolves after the commit that made them durable."""
@@ -192,7 +193,14 @@ class SqlArchive:
         if sent != expected:
             detail = f"Plan {batch.plan_id} of {batch.spacecraft_id!r} has {expected} carriers, the rows have {sent}."
             raise InvalidInputError("value.count", detail)
-        return self._database.submit(StoreBatch(prepare(key, batch), self._database.segments), key)
+        work = StoreBatch(prepare(key, batch), self._database.segments)
+        listener = self._listener
+        reported = None if listener is None else partial(listener, batch)
+        return self._database.submit(work, reported, key)
+
+    def listen(self, listener: Callable[[MeasurementBatch, BatchReceipt], None] | None) -> None:
+        """Notify a listener of every batch right after its commit; None removes it."""
+        self._listener = listener
 
     def append_inputs(self, spacecraft_id: str, records: Sequence[SlowInput]) -> InputReceipt:
         """Store and journal slow inputs; same key, other content: refused ``input.conflict``."""

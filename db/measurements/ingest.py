@@ -335,13 +335,16 @@ class _Ingest:
         self._add(outcome, state, is_late)
         jumps = self._move(outcome, state)
         self._moved[name] = state
+        late = int(is_late.sum())
         return BatchReceipt(
             len(outcome.accepted),
             len(outcome.duplicates),
-            int(is_late.sum()),
+            late,
             outcome.refused,
             (*outcome.flagged, *jumps),
             first_number=first_number,
+            feeds_estimator=state.is_prime,
+            is_late=is_late if 0 < late < len(is_late) else None,
         )
 
     def flush(self) -> None:

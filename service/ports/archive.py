@@ -1,7 +1,7 @@
 """The ports of inputs and results: measurements, slow inputs, their journal, and everything the service computed."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple, Protocol, get_args
@@ -81,6 +81,12 @@ class Archive(Protocol):
 
         Same key and content: duplicate. Same key, other content: refused ``measurement.conflict``. A row is late when
         it is stale or below the newest epoch that the live chain has consumed.
+        """
+
+    def listen(self, listener: Callable[[MeasurementBatch, BatchReceipt], None] | None) -> None:
+        """Notify a listener of every batch right after its commit, before its future resolves; None removes it.
+
+        Batches are told in the order of their commits. The listener holds up all writing, so it must be quick.
         """
 
     def append_inputs(self, spacecraft_id: str, records: Sequence[SlowInput]) -> InputReceipt:

@@ -250,6 +250,10 @@ class BatchReceipt:
     flagged: tuple[RowNotice, ...] = ()
     #: journal number of the first row accepted, the others follow it; None when there is none
     first_number: int | None = field(default=None, compare=False)
+    #: whether its source was the prime one
+    feeds_estimator: bool = field(default=False, compare=False)
+    #: of each row accepted, whether it is late; None where all are or none
+    is_late: NDArray[np.bool_] | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True, slots=True)

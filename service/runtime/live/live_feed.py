@@ -2,18 +2,21 @@
 
 import asyncio
 import threading
-from collections import Counter, deque
-from collections.abc import Mapping, Sequence
+from collections import Counter, defaultdict, deque
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
+from threading import Lock
 from typing import NamedTuple, Protocol
+
+import numpy as np
 
 from service.pipeline.control.release.events import StoredRow
 from service.pipeline.estimation.method import RowEvidence
 from service.ports.storage import Storage
 from service.records.inputs import AttitudeReference, JournalEntry
 from service.records.levels.attitude import AttitudeRow, CarrierResults, TorqueCommand
-from service.records.levels.measurement import HeadState, Measurement
+from service.records.levels.measurement import BatchReceipt, CarrierDetails, HeadState, Measurement, MeasurementBatch
 from service.records.operations.alarms import AlarmChange
 
 #: what an event may tell; None: something is to be looked up
@@ -245,8 +248,12 @@ class Relay:
         return [] if end == position else [*events, FeedEvent("status", end, None)]
 
 
+#: rows of a batch that the writer tells of; more are a backlog, for which the writer has no time
+_ROWS_AT_ONCE = 16
+
+
 class RowPublisher:
-    """Tells listeners of rows, once each.
+    """Tells listeners of rows; safe from any thread.
 
     Parameters
     ----------
@@ -256,20 +263,143 @@ class RowPublisher:
 
     def __init__(self, feed: LiveFeed) -> None:
         self._feed = feed
+        self._lock = Lock()
         #: journal number up to which all is told, or was in the archive before anybody could listen
         self._reported: dict[str, int] = {}
 
+    def begin(self, spacecraft_id: str, number: int) -> None:
+        """Start publishing the rows of a journal after a number."""
+        with self._lock:
+            self._reported[spacecraft_id] = max(number, self._reported.get(spacecraft_id, 0))
+
+    def stored(self, batch: MeasurementBatch, receipt: BatchReceipt) -> tuple[Measurement, ...] | None:
+        """Publish a batch that was committed just now, if it comes next, and return the rows that were published.
+
+        Called in the order of commits.
+        """
+        if receipt.first_number is None or receipt.accepted > _ROWS_AT_ONCE or not is_whole(batch, receipt):
+            return None
+        with self._lock:
+            if self._reported.get(batch.spacecraft_id) == receipt.first_number - 1:
+                self._reported[batch.spacecraft_id] = receipt.first_number + receipt.accepted - 1
+                # who subscribes from here on finds the rows in the archive
+                if self._feed.has_subscribers(batch.spacecraft_id):
+                    rows = tuple(stored_rows(batch, receipt))
+                    self._publish(batch.spacecraft_id, rows)
+                    return rows
+        return None
+
     def followed(self, spacecraft_id: str, entries: Sequence[JournalEntry]) -> None:
-        """Publish the rows among the next entries of a journal that were not published yet."""
-        reported = self._reported.get(spacecraft_id, 0)
-        self._reported[spacecraft_id] = max(reported, entries[-1].number)
-        fresh = (entry.content for entry in entries if entry.number > reported)
-        rows = (content for content in fresh if isinstance(content, Measurement))
+        """Publish those rows among the next entries of a journal that were not published yet."""
+        with self._lock:
+            reported = self._reported.get(spacecraft_id, 0)
+            self._reported[spacecraft_id] = max(reported, entries[-1].number)
+            if self._feed.has_subscribers(spacecraft_id):
+                rows = (entry.content for entry in entries if entry.number > reported)
+                self._publish(spacecraft_id, tuple(row for row in rows if isinstance(row, Measurement)))
+
+    def _publish(self, spacecraft_id: str, rows: Sequence[Measurement]) -> None:
         # a row moves the first part of a listener's place alone
         events = tuple(FeedEvent("measurement", Cursor(row.number, 0), row) for row in rows)
-        # who subscribes from here on finds the rows in the archive
-        if events and self._feed.has_subscribers(spacecraft_id):
+        if events:
             self._feed.publish(spacecraft_id, events)
+
+
+def is_whole(batch: MeasurementBatch, receipt: BatchReceipt) -> bool:
+    """Return whether all rows of a batch were stored as they came, so that what became of each is known."""
+    return receipt.accepted == len(batch.index) and not receipt.flagged
+
+
+def stored_rows(batch: MeasurementBatch, receipt: BatchReceipt) -> Iterator[Measurement]:
+    """Yield the rows of a batch that was stored as a whole, as the archive gives them."""
+    power_dbm = batch.power_dbm.astype(np.float32).astype(np.float64)
+    power_dbm.setflags(write=False)
+    is_late = [receipt.late > 0] * len(batch.index) if receipt.is_late is None else receipt.is_late.tolist()
+    for position in range(len(batch.index)):
+        given = batch.flags[position]
+        flags = None if given is None else np.array(given, dtype=np.int64)
+        if flags is not None:
+            flags.setflags(write=False)
+        yield Measurement(
+            epoch_us=int(batch.epochs_us[position]),
+            received_at_us=batch.received_at_us,
+            number=(receipt.first_number or 0) + position,
+            source=batch.source,
+            plan_id=batch.plan_id,
+            power_dbm=power_dbm[position],
+            flags=flags,
+            is_late=is_late[position],
+            feeds_estimator=receipt.feeds_estimator,
+            seq=None if batch.first_seq is None else batch.first_seq + int(batch.index[position]),
+            details=_details(batch.details, position),
+            key_id=None if batch.sender is None else batch.sender.key_id,
+            station=None if batch.sender is None else batch.sender.station,
+        )
+
+
+def _details(details: CarrierDetails | None, position: int) -> CarrierDetails | None:
+    """Return the details of a row beside its powers, None where it has none."""
+    if details is None:
+        return None
+    statistics = details.row(position).astype(np.float64)
+    statistics.setflags(write=False)
+    return None if np.isnan(statistics).all() else CarrierDetails(*statistics)
+
+
+#: journal numbers of one spacecraft, 200 bytes a row at 32 carriers; fewer would not outlast a stop of a second
+_MOST_ROWS = 16_384
+
+
+class _Stored(NamedTuple):
+    """A batch that was stored as a whole."""
+
+    first: int
+    last: int
+    batch: MeasurementBatch
+    receipt: BatchReceipt
+    #: built already for a listener
+    rows: tuple[Measurement, ...] | None
+
+
+class FreshRows:
+    """Rows by spacecraft; safe from any thread."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        #: newest batches of each spacecraft
+        self._batches: defaultdict[str, deque[_Stored]] = defaultdict(deque)
+
+    def stored(
+        self, batch: MeasurementBatch, receipt: BatchReceipt, rows: tuple[Measurement, ...] | None = None
+    ) -> None:
+        """Keep a batch that was committed just now, if it was stored as a whole; called in the order of commits.
+
+        ``rows`` are its records where somebody has built them already.
+        """
+        if receipt.first_number is not None and is_whole(batch, receipt) and receipt.accepted <= _MOST_ROWS:
+            last = receipt.first_number + receipt.accepted - 1
+            with self._lock:
+                batches = self._batches[batch.spacecraft_id]
+                batches.append(_Stored(receipt.first_number, last, batch, receipt, rows))
+                while last - batches[0].first >= _MOST_ROWS:
+                    batches.popleft()
+
+    def after(self, spacecraft_id: str, number: int, limit: int) -> list[JournalEntry]:
+        """Return some entries that follow a journal number without gap, none where they are not here.
+
+        What is given is no longer kept. A batch more than ``limit`` entries may come, never a part of one.
+        """
+        taken: list[_Stored] = []
+        reached = number
+        with self._lock:
+            batches = self._batches[spacecraft_id]
+            while batches and batches[0].last <= number:
+                batches.popleft()
+            while batches and reached < number + limit and batches[0].first <= reached + 1:
+                taken.append(batches.popleft())
+                reached = taken[-1].last
+        rows = (row for each in taken for row in each.rows or stored_rows(each.batch, each.receipt))
+        return [JournalEntry(row.number, row) for row in rows if row.number > number]
 
 
 #: what alarms look at

@@ -24,7 +24,7 @@ from service.ports.storage import Storage, Term
 from service.records.catalogue import LIVE_METHODS, Method
 from service.records.inputs import AlignmentSet, AttitudeReference, Correction, JournalEntry
 from service.records.levels.attitude import AppliedCommand, AttitudeRow, CarrierState, ReleasedCommand, TorqueCommand
-from service.records.levels.measurement import HeadState, Measurement
+from service.records.levels.measurement import BatchReceipt, HeadState, Measurement, MeasurementBatch
 from service.records.storage import Checkpoint
 from service.runtime.clock import system_now_us
 from service.runtime.live.journal_consumer import (
@@ -38,7 +38,7 @@ from service.runtime.live.journal_consumer import (
     trips_after,
 )
 from service.runtime.live.leadership import always, is_moving
-from service.runtime.live.live_feed import FeedEvent, LiveFeed, Relay, ReleaseWatcher, RowPublisher, Watcher
+from service.runtime.live.live_feed import FeedEvent, FreshRows, LiveFeed, Relay, ReleaseWatcher, RowPublisher, Watcher
 
 _LOG = logging.getLogger("soo.supervisor")
 
@@ -181,7 +181,7 @@ class _Follower:
     newest: NewestResults
     #: newest epoch of the last checkpoint
     kept_us: int | None
-    #: entries taken from the journal that no step has consumed; whether more may follow them
+    #: entries taken from the journal, or from memory, that no step has consumed; whether more may follow them
     left: list[JournalEntry] = field(default_factory=list)
     has_more: bool = False
     #: alignment under way, and what comes of the rows after it
@@ -240,6 +240,7 @@ class Supervisor:
         self._turn = turn
         self._relay = Relay(storage, feed)
         self._publisher = RowPublisher(feed)
+        self._fresh = FreshRows()
         self.restarts = ChainRestarts(storage, config, lambda: self._is_stopping)
         self._watcher = watcher
         self._feed = feed
@@ -256,11 +257,13 @@ class Supervisor:
     def start(self) -> None:
         """Bring every chain back to where it was and follow the journals from there."""
         self._due.update((spacecraft.id, _UNKNOWN) for spacecraft in self._storage.catalogue.all_spacecraft())
+        self._storage.archive.listen(self._stored)
         self._thread = threading.Thread(target=self._run, name="soo-supervisor", daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
         """Finish the batch in hand and end the thread."""
+        self._storage.archive.listen(None)
         with self._wake:
             self._is_stopping = True
             self._wake.notify()
@@ -344,6 +347,10 @@ class Supervisor:
                 time.sleep(_PAUSE_S)
         self._keep_states()
 
+    def _stored(self, batch: MeasurementBatch, receipt: BatchReceipt) -> None:
+        """Take over a batch that was committed just now, on the writer's thread."""
+        self._fresh.stored(batch, receipt, self._publisher.stored(batch, receipt))
+
     def _grown(self) -> tuple[str, ...]:
         """Return the spacecraft of which another service may have taken something in."""
         try:
@@ -413,10 +420,11 @@ class Supervisor:
         """Take the next entries; return whether there are any."""
         if follower.consumed_number >= up_to:
             return False
-        spacecraft_id, number = follower.spacecraft_id, follower.consumed_number
-        follower.left = self._storage.archive.journal(spacecraft_id, number, _ENTRIES_AT_ONCE)
+        index = (follower.spacecraft_id, follower.consumed_number, _ENTRIES_AT_ONCE)
+        fresh = self._fresh.after(*index)
+        follower.left = fresh or self._storage.archive.journal(*index)
         # nothing unconsumed is ever dropped, so less than asked for was all; what came since has notified
-        follower.has_more = len(follower.left) >= _ENTRIES_AT_ONCE
+        follower.has_more = bool(fresh) or len(follower.left) >= _ENTRIES_AT_ONCE
         if follower.left:
             # rows were stored before they were accepted: listeners need not wait for what is computed from them
             self._publisher.followed(follower.spacecraft_id, follower.left)
@@ -440,11 +448,8 @@ class Supervisor:
         stream_s = until_s - _BLOCK_S + _STEP_S
         # waiting for a commit after every few rows would never catch up with fast front ends
         while not (follower.left or step.has_applied or time.monotonic() >= stream_s or self._is_stopping):
-            number = entries[-1].number
-            is_notified = self._due.get(follower.spacecraft_id, 0) > number
-            if not is_notified or not (
-                more := self._storage.archive.journal(follower.spacecraft_id, number, _ENTRIES_AT_ONCE)
-            ):
+            more = self._fresh.after(follower.spacecraft_id, entries[-1].number, _ENTRIES_AT_ONCE)
+            if not more:
                 break
             self._publisher.followed(follower.spacecraft_id, more)
             follower.left = self._consume(follower, more, step, until_s)
@@ -568,6 +573,7 @@ class Supervisor:
         newest = NewestResults(number, head.result_sequence, number, {}, command, {}, number)
         follower = _Follower(spacecraft_id, chain, turn, number, head.consumed_epoch_us, newest, kept_us)
         self._followers[spacecraft_id] = follower
+        self._publisher.begin(spacecraft_id, follower.consumed_number)
         return follower
 
     def _checkpoint(self, follower: _Follower, number: int, after_us: int) -> Checkpoint | None:

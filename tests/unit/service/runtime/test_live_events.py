@@ -3,18 +3,20 @@
 import asyncio
 import threading
 from collections import Counter
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from stored_records import zeros
 
 from service.ports.archive import Outcome
 from service.records.catalogue import Method
 from service.records.inputs import AlignmentSet, JournalEntry, SpacecraftChange
 from service.records.levels.attitude import AttitudeRow, row_without_attitude
-from service.records.levels.measurement import Measurement
+from service.records.levels.measurement import BatchReceipt, CarrierDetails, Measurement
 from service.runtime.live.journal_consumer import result_events
-from service.runtime.live.live_feed import Cursor, DroppedRows, FeedEvent, LiveFeed, RowPublisher
+from service.runtime.live.live_feed import Cursor, DroppedRows, FeedEvent, LiveFeed, RowPublisher, stored_rows
 
 pytestmark = pytest.mark.anyio
 
@@ -154,23 +156,142 @@ def listener():
 @pytest.fixture
 def publisher_events(listener):
     """Return news of a journal that is followed from behind number 10."""
-    return RowPublisher(listener)
+    events = RowPublisher(listener)
+    events.begin("sc", 10)
+    return events
 
 
-def test_rows_are_told_once_in_the_order_of_the_journal(publisher_events, listener):
-    publisher_events.followed("sc", [entry(11), entry(12)])
-    publisher_events.followed("sc", [JournalEntry(13, AlignmentSet(1)), entry(14)])
-    # followed again from further back
-    publisher_events.followed("sc", [entry(number) for number in (11, 12, 14, 15)])
-    assert listener.numbers == [11, 12, 14, 15]
+def stored(events: RowPublisher, first: int, rows: int = 1, **changes: int) -> None:
+    """Tell of a batch that was stored under the numbers from ``first`` on."""
+    receipt = BatchReceipt(rows, 0, 0, (), first_number=first, feeds_estimator=True)
+    events.stored(zeros(rows), replace(receipt, **changes))  # type: ignore[arg-type]
+
+
+def followed(events: RowPublisher, *numbers: int) -> None:
+    """Come to entries of the journal."""
+    (row,) = stored_rows(zeros(1), BatchReceipt(1, 0, 0, (), first_number=1))
+    events.followed("sc", [JournalEntry(number, replace(row, number=number)) for number in numbers])
+
+
+def test_what_the_writer_told_is_not_told_again(publisher_events, listener):
+    stored(publisher_events, 11, rows=2)
+    stored(publisher_events, 13)
+    followed(publisher_events, 11, 12, 13, 14)
+    stored(publisher_events, 15)
+    assert listener.numbers == [11, 12, 13, 14, 15]
+
+
+def test_rows_behind_something_else_are_left_to_who_follows_the_journal(publisher_events, listener):
+    # 11 is of another service, or no row: telling 12 now would hide it for good
+    stored(publisher_events, 12)
+    stored(publisher_events, 13)
+    assert listener.numbers == []
+    followed(publisher_events, 11, 12)
+    publisher_events.followed("sc", [JournalEntry(13, AlignmentSet(1))])
+    stored(publisher_events, 14)
+    assert listener.numbers == [11, 12, 14]
+
+
+def test_who_follows_comes_first(publisher_events, listener):
+    followed(publisher_events, 11)
+    stored(publisher_events, 11)
+    assert listener.numbers == [11]
+
+
+def test_a_journal_that_nobody_follows_yet_is_not_told(publisher_events, listener):
+    fresh = RowPublisher(listener)
+    stored(fresh, 1)
+    assert listener.numbers == []
+
+
+def test_following_anew_from_further_back_tells_nothing_twice(publisher_events, listener):
+    stored(publisher_events, 11)
+    publisher_events.begin("sc", 10)
+    followed(publisher_events, 11, 12)
+    assert listener.numbers == [11, 12]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"accepted": 1, "duplicates": 1}, {"accepted": 0, "first_number": None}],
+    ids=["a duplicate among them", "nothing stored"],
+)
+def test_batches_in_part_are_left_to_who_follows_the_journal(publisher_events, listener, changes):
+    stored(publisher_events, 11, rows=2, **changes)
+    assert listener.numbers == []
+
+
+def test_a_backlog_is_left_to_who_follows_the_journal(publisher_events, listener):
+    stored(publisher_events, 11, rows=17)
+    assert listener.numbers == []
 
 
 def test_rows_without_a_listener_count_as_told(listener):
     events = RowPublisher(LiveFeed())
-    events.followed("sc", [entry(11)])
+    events.begin("sc", 10)
+    stored(events, 11)
     events._feed = listener
-    events.followed("sc", [entry(11), entry(12)])
+    stored(events, 12)
     assert listener.numbers == [12]
+
+
+def test_rows_are_those_that_the_archive_gives(ground):
+    nan = float("nan")
+    rng = np.random.default_rng(3)
+    powers = rng.normal(-60.0, 5.0, (3, 12)).astype(np.float32)
+    powers[1, 4] = nan
+    details = rng.normal(50.0, 3.0, (4, 3, 12)).astype(np.float32)
+    details[1:3] = nan
+    details[:, 2] = nan
+    reported = []
+    ground.storage.archive.listen(lambda *stored: reported.extend(stored_rows(*stored)))
+    ground.append_rows(
+        [ground.at(k) for k in (1, 2, 3)],
+        powers,
+        flags=((0,) * 12, None, (16, 0, 1 << 20) + (0,) * 9),
+        details=CarrierDetails(*details),
+        first_seq=1042,
+    )
+    ground.append_rows([ground.at(4)], powers[:1], source="sa-2", is_stale=np.array([True]))
+    ground.append_rows([ground.at(6), ground.at(7)], powers[:2], source="sa-2", is_stale=np.array([True, False]))
+    ground.storage.archive.listen(None)
+    ground.append_rows([ground.at(5)], powers[:1])
+    entries = ground.storage.archive.journal(ground.id, reported[0].number - 1, 6)
+    assert repr(reported) == repr([entry.content for entry in entries])
+    assert [(row.is_late, row.feeds_estimator) for row in reported] == [(False, True)] * 3 + [(True, False)] * 2 + [
+        (False, False)
+    ]
+
+
+def test_a_listener_that_fails_does_not_hold_up_the_writer(ground, caplog):
+    def fail(*_: object) -> None:
+        message = "no"
+        raise ValueError(message)
+
+    ground.storage.archive.listen(fail)
+    assert ground.append([1]).accepted == 1
+    assert "publishing stored rows failed" in caplog.text
+
+
+def test_a_row_is_told_before_anybody_follows_the_journal(ground, monkeypatch):
+    monkeypatch.setattr("service.runtime.live.supervisor._POLL_S", 60.0)
+
+    async def heard() -> list[int]:
+        feed, events = LiveFeed(), ()
+        with ground.supervised(feed=feed) as supervisor:
+            subscription = feed.subscribe(ground.id)
+            ground.append([1])
+            await asyncio.to_thread(ground.settle, supervisor)
+            # what is stored is told a moment later
+            while not any(event.at_us == ground.at(1) for event in events if event.kind == "torque"):
+                events, _ = await subscription.next_events(120.0)
+            # nobody says that the journal has grown
+            receipt = await asyncio.to_thread(ground.append, [2])
+            events, _ = await subscription.next_events(120.0)
+            assert receipt.first_number is not None
+            return [event.cursor.number - receipt.first_number for event in events if event.kind == "measurement"]
+
+    assert asyncio.run(heard()) == [0]
 
 
 def entry(number: int) -> JournalEntry:
