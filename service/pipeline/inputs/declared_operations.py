@@ -12,7 +12,7 @@
 
 import numpy as np
 
-from service.core.estimation.filtering.declared import Declared, nothing_declared
+from service.core.estimation.filtering.row_block import Declared, nothing_declared
 from service.pipeline.config import OperationConfig
 from service.records.epoch import US_PER_S
 from service.records.inputs import TURNING_KINDS, Operation

@@ -8,7 +8,6 @@ from filter_rows import step
 
 from service.core.arrays import FloatArray, IntArray
 from service.core.estimation.effective_row import EffectiveRow, effective_row
-from service.core.estimation.filtering.declared import Declared
 from service.core.estimation.filtering.filter_model import (
     ATTITUDE,
     CarrierModel,
@@ -22,7 +21,7 @@ from service.core.estimation.filtering.filter_model import (
 from service.core.estimation.filtering.filter_state import FilterState, start
 from service.core.estimation.filtering.plant import FilterModel, filter_model
 from service.core.estimation.filtering.prediction import Innovation, innovate, update_state
-from service.core.estimation.filtering.row_block import empty_result, empty_trace
+from service.core.estimation.filtering.row_block import Declared, empty_result, empty_trace
 
 MINUTE_US = 60_000_000
 

@@ -6,7 +6,6 @@ import numpy as np
 
 from service.core.arrays import FloatArray
 from service.core.estimation.filtering.advance import advance
-from service.core.estimation.filtering.declared import Declared
 from service.core.estimation.filtering.due_records import take_records
 from service.core.estimation.filtering.filter_model import KnownMotion
 from service.core.estimation.filtering.filter_state import FilterState
@@ -16,6 +15,7 @@ from service.core.estimation.filtering.prediction import hidden_states
 from service.core.estimation.filtering.row_block import (
     LOST,
     RECORD,
+    Declared,
     RowTrace,
     empty_block,
     empty_result,

@@ -14,7 +14,6 @@ from simulated_gain import attitude_gain_db
 from analyzer_sim.export import measured_dbm
 from analyzer_sim.world.payload.level_terms import dishes_loss_db, nominal_gain_db
 from analyzer_sim.world.world import World
-from service.core.estimation.filtering.declared import Declared, nothing_declared
 from service.core.estimation.filtering.filter_model import (
     CarrierModel,
     FilterSettings,
@@ -24,6 +23,7 @@ from service.core.estimation.filtering.filter_model import (
 )
 from service.core.estimation.filtering.filter_state import start
 from service.core.estimation.filtering.plant import filter_model
+from service.core.estimation.filtering.row_block import Declared, nothing_declared
 
 #: correlation times that the learned noise may have, s
 TAUS_S = (300.0, 1200.0, 7200.0, 36000.0)

@@ -6,10 +6,10 @@ import pytest
 from filter_rows import step
 
 from service.core.estimation.filtering.common_cause import ATTITUDE_JUMP, COMMON, GROUP, INDEPENDENT, NOTHING
-from service.core.estimation.filtering.declared import nothing_declared
 from service.core.estimation.filtering.filter_model import CHAIN, KnownMotion, no_motion, pattern_change
 from service.core.estimation.filtering.filter_state import start
 from service.core.estimation.filtering.plant import filter_model
+from service.core.estimation.filtering.row_block import nothing_declared
 
 MINUTE_US = 60_000_000
 CARRIERS = 16

@@ -6,7 +6,6 @@ import pytest
 from filter_models import reference_states
 from filter_rows import step
 
-from service.core.estimation.filtering.declared import nothing_declared
 from service.core.estimation.filtering.filter_model import (
     ATTITUDE,
     CHAIN,
@@ -23,7 +22,7 @@ from service.core.estimation.filtering.filter_model import (
 from service.core.estimation.filtering.filter_state import start
 from service.core.estimation.filtering.plant import filter_model
 from service.core.estimation.filtering.prediction import Innovation, site_level_db, update_state
-from service.core.estimation.filtering.row_block import empty_result, empty_trace
+from service.core.estimation.filtering.row_block import empty_result, empty_trace, nothing_declared
 
 MINUTE_US, HOUR_US = 60_000_000, 3_600_000_000
 ZEROS = np.zeros(3)

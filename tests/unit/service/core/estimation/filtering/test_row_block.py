@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from service.core.estimation.filtering.advance import advance
-from service.core.estimation.filtering.declared import nothing_declared
 from service.core.estimation.filtering.filter_model import ATTITUDE, FilterSettings, core_size, pattern_change
 from service.core.estimation.filtering.filter_state import FilterState, start
 from service.core.estimation.filtering.plant import filter_model, torque_covariance
@@ -25,6 +24,7 @@ from service.core.estimation.filtering.row_block import (
     empty_block,
     empty_result,
     empty_trace,
+    nothing_declared,
     write_declared,
 )
 from service.core.estimation.filtering.state_changes import inserted
