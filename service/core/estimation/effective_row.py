@@ -177,7 +177,7 @@ def effective_row(
 ) -> EffectiveRow:
     """Return a row of `RESULT` with its trace, the records taken before it among it, and the states around it."""
     restarted = map(np.flatnonzero, trace.is_restarted)
-    sensed = [SensedRecord(next(restarted), _whitened_row(each)) for each in trace.sensed]
+    sensed = [SensedRecord(next(restarted), _whitened_row(each)) for each in trace.record_updates]
     sensed.append(SensedRecord(next(restarted), None))
     return EffectiveRow(
         after.epoch_us,

@@ -6,7 +6,6 @@ import numpy as np
 
 from service.core.arrays import FloatArray
 from service.core.estimation.filtering.advance import advance
-from service.core.estimation.filtering.due_records import take_records
 from service.core.estimation.filtering.filter_model import KnownMotion
 from service.core.estimation.filtering.filter_state import FilterState
 from service.core.estimation.filtering.integrity import REASONS
@@ -23,6 +22,7 @@ from service.core.estimation.filtering.row_block import (
     write_declared,
     write_known,
 )
+from service.core.estimation.filtering.sensor_records import take_records
 
 
 def records_of(*values: dict[str, object]) -> np.ndarray:

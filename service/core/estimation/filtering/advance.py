@@ -12,7 +12,6 @@ from service.core.estimation.filtering import (
     carrier_watch,
     command_watch,
     common_cause,
-    due_records,
     filter_model,
     filter_state,
     integrity,
@@ -25,6 +24,7 @@ from service.core.estimation.filtering import (
     rate_sensor,
     row,
     row_block,
+    sensor_records,
     wheel_momentum,
 )
 from service.core.estimation.filtering.filter_state import FilterState
@@ -51,7 +51,7 @@ _TAKE_ROWS = CompiledEntry(
         polarimeter,
         wheel_momentum,
         rate_sensor,
-        due_records,
+        sensor_records,
         row,
     ),
 )

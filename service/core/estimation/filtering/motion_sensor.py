@@ -74,11 +74,11 @@ def lower_triangle(covariance: FloatArray, variance: float) -> FloatArray:
 
 
 def use_record(
-    mean: FloatArray, covariance: FloatArray, compared: SensorInnovation, variance: float, sensed: FloatArray
+    mean: FloatArray, covariance: FloatArray, compared: SensorInnovation, variance: float, trace_rows: FloatArray
 ) -> None:
     """Take measurements into mean (D,) and covariance (D, D), the noise of each greater by a variance.
 
-    `sensed` (3, 2 D + 1) is written as `RowTrace` has it where it has room.
+    `trace_rows` (3, 2 D + 1) is written as `RowTrace` has it where it has room.
     """
     lower, size = lower_triangle(compared.covariance, variance), len(mean)
     whitened, residual = compared.cross.copy(), compared.innovation.copy()
@@ -89,13 +89,13 @@ def use_record(
         whitened[row] /= lower[row, row]
         residual[row] /= lower[row, row]
         mean += residual[row] * whitened[row]
-        if len(sensed):
-            sensed[row, :size] = compared.jacobian[row]
+        if len(trace_rows):
+            trace_rows[row, :size] = compared.jacobian[row]
             for k in range(row):
-                sensed[row, :size] -= lower[row, k] * sensed[k, :size]
-            sensed[row, :size] /= lower[row, row]
-            sensed[row, size : 2 * size] = whitened[row]
-            sensed[row, 2 * size] = residual[row]
+                trace_rows[row, :size] -= lower[row, k] * trace_rows[k, :size]
+            trace_rows[row, :size] /= lower[row, row]
+            trace_rows[row, size : 2 * size] = whitened[row]
+            trace_rows[row, 2 * size] = residual[row]
     product = whitened.T @ whitened
     covariance -= 0.5 * (product + product.T)
 

@@ -160,11 +160,11 @@ def push_angle(
     first: int,
     block: AngleBlock,
     epoch_us: int,
-    sensed: FloatArray,
+    trace_rows: FloatArray,
 ) -> None:
     """Take a block into watch and state, in place.
 
-    The state is that of an epoch not earlier, its offset stands at `first`; `sensed` as `use_record` writes it.
+    The state is that of an epoch not earlier, its offset stands at `first`; `trace_rows` as `use_record` writes it.
     """
     if watch["is_refused"] or block.epoch_us <= watch["newest_us"]:
         return
@@ -188,7 +188,7 @@ def push_angle(
         excess = greatest_excess(compared)
     if excess <= GATE:
         variance_deg2 = (block.variance_deg2 + rain_deg2) * (max(excess / TRUSTED, 1.0) ** 2 - 1.0)
-        use_record(mean, covariance, compared, variance_deg2, sensed)
+        use_record(mean, covariance, compared, variance_deg2, trace_rows)
         watch["skipped"] = 0
         judge_record(watch, covariance, excess**2, _LEAST_BLOCKS, 0.0)
         return

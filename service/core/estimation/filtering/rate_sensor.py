@@ -43,7 +43,8 @@ _US_PER_H = 3.6e9
 def push_rates(model: FilterModel, state: FilterState, block: RowBlock, number: int) -> None:
     """Take the rates that are due before a row into the state, in place: its rate is the measured one where one holds.
 
-    Where it does what was commanded before the row is in it, and the row is written so.
+    A measured rate contains what was commanded before the row: the commands of the row are cleared, so that they count
+    once.
     """
     rates, row, sensor = state.rates[0], block.rows[number], model.plant[1]
     from_us, to_us = state.watch[0]["epoch_us"], row["epoch_us"]

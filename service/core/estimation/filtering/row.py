@@ -58,7 +58,6 @@ from service.core.estimation.filtering.common_cause import (
     suspicion,
     widen_cause,
 )
-from service.core.estimation.filtering.due_records import moving_model, take_records
 from service.core.estimation.filtering.filter_model import ATTITUDE, CHAIN, FIRST_COMMON, RAIN, rates_deg_h
 from service.core.estimation.filtering.filter_state import FilterState
 from service.core.estimation.filtering.integrity import assess
@@ -105,6 +104,7 @@ from service.core.estimation.filtering.row_block import (
     RowBlock,
     RowTrace,
 )
+from service.core.estimation.filtering.sensor_records import model_of_step, take_records
 
 MIN_CARRIERS = 4
 #: smallest declared step of an attitude that the watch on motion must not take for its own, deg
@@ -178,36 +178,36 @@ def take_rows(
         is_newer = block.rows["epoch_us"][number] > before.watch["epoch_us"][0]
         if is_newer:
             take_records(model, after, block, number, trace)
-        moving = moving_model(model, after)
+        step_model = model_of_step(model, after)
         # each stage is called from here alone: the compiler goes over what a function calls once for each caller
-        row = begin_row(moving, after, block, number, trace)
+        row = begin_row(step_model, after, block, number, trace)
         status, used_count, is_moved = TAKEN, 0, True
         if not is_newer:
             status = OLD
         elif is_lost(after):
             status = LOST
         elif len(row.carriers) >= MIN_CARRIERS:
-            screened = screen_row(moving, after, block, number, row, result)
-            used = use_row(moving, after, block, number, row, screened, result, trace)
+            screened = screen_row(step_model, after, block, number, row, result)
+            used = use_row(step_model, after, block, number, row, screened, result, trace)
             used_count = len(used.innovation.carriers)
             # no matrix of lost numbers has an inverse
             if not used.is_done or is_lost(after):
                 status = LOST
             else:
                 if used.has_findings:
-                    act_on_findings(moving, after, block, row, screened, used)
-                is_due, is_moved = close_row(moving, after, block, number, row, screened, used, result)
+                    act_on_findings(step_model, after, block, row, screened, used)
+                is_due, is_moved = close_row(step_model, after, block, number, row, screened, used, result)
                 if is_due:
-                    mixture = ask_anchor(moving, after, block.carriers["reported_wet"][number])
+                    mixture = ask_anchor(step_model, after, block.carriers["reported_wet"][number])
                     if is_contradicted(mixture):
-                        start_again(moving, after, mixture)
+                        start_again(step_model, after, mixture)
                         is_moved = True
         if is_moved:
-            residual_db = block.carriers["deviation_db"][number] - site_level_db(moving, after.mean)
+            residual_db = block.carriers["deviation_db"][number] - site_level_db(step_model, after.mean)
             result.carriers["residual_db"][number] = residual_db
-        assess(moving, after, used_count, result.rows[number])
-        exclude_carriers(moving, after, block, number, result)
-        status = write_state(moving, after, status, block.unreported.shape[1], result.rows[number])
+        assess(step_model, after, used_count, result.rows[number])
+        exclude_carriers(step_model, after, block, number, result)
+        status = write_state(step_model, after, status, block.unreported.shape[1], result.rows[number])
         if status == TAKEN:
             newest = 2 if newest == 1 else 1
     return newest

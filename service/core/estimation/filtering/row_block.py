@@ -206,7 +206,7 @@ class RowTrace(NamedTuple):
     update: FloatArray
     #: (M, 3, 2 D + 1) the records before it in the same form, and (M + 1, D) the states that began again at each, and
     #: at the rate of the body, which is the last
-    sensed: FloatArray
+    record_updates: FloatArray
     is_restarted: BoolArray
 
 

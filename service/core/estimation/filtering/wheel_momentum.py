@@ -173,11 +173,11 @@ def push_momentum(
     first: int,
     record: WheelRecord,
     epoch_us: int,
-    sensed: FloatArray,
+    trace_rows: FloatArray,
 ) -> bool:
     """Take a record into watch and state, in place; return whether the momentum begins with it.
 
-    The state is of a not earlier epoch, its momentum stands at `first`; `sensed` as `use_record` writes it. Records
+    The state is of a not earlier epoch, its momentum stands at `first`; `trace_rows` as `use_record` writes it. Records
     that are not newer than the newest, or repeat it to the last digit, tell nothing.
     """
     record_us, reported = record.epoch_us, record.momentum_n_m_s
@@ -206,7 +206,7 @@ def push_momentum(
         compared = compare_momentum(model, mean, covariance, first, reported, after_h)
     square = mean_square(compared)
     variance = model.plant[0]["momentum_sigma_n_m_s"] ** 2 * (max(excess / TRUSTED, 1.0) ** 2 - 1.0)
-    use_record(mean, covariance, compared, variance, sensed)
+    use_record(mean, covariance, compared, variance, trace_rows)
     watch["skipped"] = 0
     judge_record(watch, covariance, square, _LEAST_RECORDS, _FEW_RECORDS)
     return is_first

@@ -10,11 +10,11 @@ from filter_rows import after_records, step
 from geometry_flight import MINUTE
 from stepped_robust import ALIGNED_US, PAYLOAD, Stepped
 
-from service.core.estimation.filtering.due_records import moving_model
 from service.core.estimation.filtering.filter_model import ATTITUDE, RATE, FilterSettings, core_size, no_motion
 from service.core.estimation.filtering.filter_state import start
 from service.core.estimation.filtering.plant import filter_model
 from service.core.estimation.filtering.readings import frozen_readings, no_readings
+from service.core.estimation.filtering.sensor_records import model_of_step
 from service.core.estimation.filtering.state_changes import sensors_first, with_share
 from service.pipeline.estimation.robust.method import carried_state
 from service.pipeline.estimation.robust.row_recorder import RowRecorder
@@ -145,7 +145,7 @@ def test_a_step_with_a_record_is_moved_by_its_rate_without_the_turn_of_the_orbit
     state, _ = sensed(flight)
     assert state.filter.rates["is_measured"][0]
     np.testing.assert_allclose(state.filter.mean[RATE], [0.036, -0.018, 0.0072], atol=1e-3)
-    moving = moving_model(flight.model.arrays, state.filter)
+    moving = model_of_step(flight.model.arrays, state.filter)
     assert moving.plant["drift_deg_h"].tolist() == [[0.01, 0.01, 0.01]]
     assert advice(flight) == []
 
@@ -156,7 +156,7 @@ def test_records_behind_the_step_later_ones_and_none_leave_it_to_the_inertial_mo
         state, records = sensed(flight)
         assert not len(records)
         assert not state.filter.rates["is_measured"][0]
-        assert moving_model(flight.model.arrays, state.filter) is flight.model.arrays
+        assert model_of_step(flight.model.arrays, state.filter) is flight.model.arrays
         assert same_numbers(state.filter, flight.state.filter)
 
 

@@ -25,7 +25,7 @@ def take_records(model: FilterModel, state: FilterState, block: RowBlock, number
         record = block.records[place]
         if record["row"] != number or record["kind"] == BODY_RATE:
             continue
-        sensed = trace.sensed[place] if len(trace.sensed) else np.zeros((0, 0))
+        trace_rows = trace.record_updates[place] if len(trace.record_updates) else np.zeros((0, 0))
         if record["kind"] != WHEELS:
             feed = record["feed"]
             push_angle(
@@ -36,16 +36,16 @@ def take_records(model: FilterModel, state: FilterState, block: RowBlock, number
                 angles + POLARIMETER * feed,
                 AngleBlock(record["epoch_us"], record["angle_deg"], record["variance_deg2"], record["co_power_dbm"]),
                 epoch_us,
-                sensed,
+                trace_rows,
             )
         elif record["is_impossible"]:
             refuse_impossible(state.sensors[0])
         else:
             telemetry = WheelRecord(record["epoch_us"], record["momentum_n_m_s"], record["is_unloading"])
             begins = push_momentum(
-                model, state.sensors[0], state.mean, state.covariance, first, telemetry, epoch_us, sensed
+                model, state.sensors[0], state.mean, state.covariance, first, telemetry, epoch_us, trace_rows
             )
-            if begins and len(trace.sensed):
+            if begins and len(trace.record_updates):
                 trace.is_restarted[place, first : first + 3] = True
     if len(model.plant) > 1:
         push_rates(model, state, block, number)
@@ -63,7 +63,7 @@ def _write_restarted(state: FilterState, trace: RowTrace) -> None:
         trace.is_restarted[-1, place] = together <= 1 or (is_measured and place >= RATE.start)
 
 
-def moving_model(model: FilterModel, state: FilterState) -> FilterModel:
+def model_of_step(model: FilterModel, state: FilterState) -> FilterModel:
     """Return the model of a step: that of the measured rate where one holds."""
     if not state.rates[0]["is_measured"]:
         return model
