@@ -146,7 +146,14 @@ class SpacecraftNow:
         before = self._context.memory.known(self._id, "pending")
         if before is not None and self._is_as_before(before[0], place):
             self._context.memory.put(self._id, "pending", place, before[1])
-        return self._part("pending", place, lambda: self._storage.results.pending(self._id, methods))
+        return self._part("pending", place, lambda: self._count_pending(methods))
+
+    def _count_pending(self, methods: tuple[Method, ...]) -> int:
+        """Return how many rows lack a result at the head that is told, or one where they got it meanwhile."""
+        head, count = self.at.head, self._storage.results.pending(self._id, methods)
+        if count or head.consumed_number == head.newest_number:
+            return count
+        return int(self._storage.archive.head(self._id).consumed_number > head.consumed_number)
 
     def row(self, method: Method) -> AttitudeRow | None:
         """Return the newest live row of a method as it holds now; None before the first."""

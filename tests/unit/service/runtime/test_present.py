@@ -140,3 +140,24 @@ def test_every_process_tells_the_same(ground: Any) -> None:
             step()
             ground.settle(supervisor)
             assert told(leading, ground.id) == told(other, ground.id), "after a restart"
+
+
+def test_nothing_is_pending_only_where_the_newest_row_is_told(ground: Any, elsewhere: Any, monkeypatch: Any) -> None:
+    """Rows get their results between the statement that tells the head and the one that counts."""
+    results = type(ground.storage.results)
+    count = results.pending
+    with ground.supervised() as supervisor:
+        ground.append(range(1, 31))
+        ground.settle(supervisor)
+
+    def late(self: Any, spacecraft_id: str, methods: Any) -> int:
+        with ground.supervised() as supervisor:
+            ground.settle(supervisor)
+        return int(count(self, spacecraft_id, methods))
+
+    ground.append([31])
+    monkeypatch.setattr(results, "pending", late)
+    status = status_of(elsewhere, ground.id)
+    assert status.pending > 0 or status.newest_attitude == status.newest_measurement
+    after = status_of(elsewhere, ground.id)
+    assert (after.pending, after.newest_attitude) == (0, after.newest_measurement)
