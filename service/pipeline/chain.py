@@ -12,6 +12,7 @@ that fails on a row says so in its row and goes on with the next; the other meth
 import logging
 import math
 import statistics
+from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import pairwise
@@ -56,7 +57,6 @@ from service.records.levels.attitude import (
     CarrierResults,
     CarrierState,
     Disturbance,
-    IntArray,
     ReleasedCommand,
     ReportedCommand,
     row_without_attitude,
@@ -126,7 +126,8 @@ class Chain:
         self._basis: BalanceBasis | None = None
         self._swing: PanelSwing | None = None
         self._newest_us: int | None = None
-        self._recent_us: IntArray = np.zeros(0, dtype=np.int64)
+        #: epochs from which the row period is taken
+        self._recent_us: deque[int] = deque(maxlen=config.torque.period_rows + 1)
         self._disagreement = Disagreement()
         self._last: tuple[Measurement, bool] | None = None
 
@@ -160,7 +161,7 @@ class Chain:
         if isinstance(content, AlignmentSet):
             self._newest_us = alignment.epoch_us
             self._carry_n_m_s, self._basis = NO_CARRY, None
-            self._recent_us = np.zeros(0, dtype=np.int64)
+            self._recent_us.clear()
             self._disagreement = Disagreement()
             for runner in self._runners:
                 runner.start(self._knowledge)
@@ -212,7 +213,8 @@ class Chain:
         rows = []
         for number, measurement in enumerate(measurements):
             self._last = (measurement, True)
-            self._remember_epoch(measurement.epoch_us)
+            self._newest_us = measurement.epoch_us
+            self._recent_us.append(measurement.epoch_us)
             method_rows = [each[number] for each in by_method]
             self._disagreement = compare(self._disagreement, [each.row for each in method_rows], self._config.robust)
             outcome = self._with_command(method_rows, tuple([each[number] for each in carriers]))
@@ -252,7 +254,7 @@ class Chain:
             self._basis,
             self._swing,
             self._newest_us,
-            self._recent_us,
+            np.array(self._recent_us, dtype=np.int64),
             self._disagreement,
             self._last,
         )
@@ -266,8 +268,9 @@ class Chain:
             if saved is not None:
                 runner.restore(saved, self._knowledge)
         self._carry_n_m_s, self._basis, self._swing = state.carry_n_m_s, state.basis, state.swing
-        self._newest_us, self._recent_us = state.newest_us, state.recent_us
-        self._disagreement, self._last = state.disagreement, state.last
+        self._recent_us.clear()
+        self._recent_us.extend(state.recent_us.tolist())
+        self._newest_us, self._disagreement, self._last = state.newest_us, state.disagreement, state.last
 
     def carrier_states(self) -> tuple[Measurement, tuple[CarrierState, ...]] | None:
         """Return the newest consumed row and what is known of each of its carriers; None before the first."""
@@ -328,11 +331,6 @@ class Chain:
             number, epoch_us, received_us = measurement.number, measurement.epoch_us, measurement.received_at_us
             return MethodRow(row_without_attitude(epoch_us, received_us, number, method, ("internal_error",)))
 
-    def _remember_epoch(self, epoch_us: int) -> None:
-        """Keep the newest epoch and the epochs from which the row period is taken."""
-        self._newest_us = epoch_us
-        self._recent_us = np.concatenate((self._recent_us, (epoch_us,)))[-self._config.torque.period_rows - 1 :]
-
     def _remember_command(self, content: SlowInput) -> None:
         """Let what was executed move the spacecraft that is balanced, and what was sent swing the flexible modes."""
         if self._basis is not None and isinstance(content, AppliedCommand | ReportedCommand):
@@ -351,7 +349,7 @@ class Chain:
         if len(self._recent_us) < 2:
             return self._config.torque.default_period_s
         # numpy costs ten times as much on so few
-        periods_us = [later - earlier for earlier, later in pairwise(self._recent_us.tolist())]
+        periods_us = [later - earlier for earlier, later in pairwise(self._recent_us)]
         return float(statistics.median(periods_us)) / US_PER_S
 
     def _with_command(self, method_rows: Sequence[MethodRow], carriers: tuple[CarrierResults | None, ...]) -> Outcome:

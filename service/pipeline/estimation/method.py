@@ -123,18 +123,20 @@ class CarrierColumns(NamedTuple):
     """Positions of carriers among others, -1 for those that are not among them."""
 
     positions: IntArray
-    is_complete: bool
+    #: the carriers are the first of the others, in their order
+    is_first: bool
 
     @classmethod
     def among(cls, carrier_ids: Sequence[str], position_of: Mapping[str, int]) -> "CarrierColumns":
         """Return the positions of some carriers."""
         positions = np.array([position_of.get(name, -1) for name in carrier_ids], dtype=np.int64)
-        return cls(positions, bool((positions >= 0).all()))
+        is_first = bool((positions == np.arange(len(positions))).all())
+        return cls(positions, is_first)
 
     def of(self, values: NDArray[Any], absent: float) -> NDArray[Any]:
-        """Return the values (..., N) of the carriers; those that are not among the others have `absent`."""
-        if self.is_complete:
-            return values[..., self.positions]
+        """Return the values (..., N) of the carriers, `absent` for those that are not among the others."""
+        if self.is_first:
+            return values[..., : len(self.positions)]
         return np.where(self.positions < 0, absent, values[..., self.positions])
 
 
