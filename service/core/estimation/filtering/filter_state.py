@@ -251,8 +251,8 @@ def initial_carriers(reference_variance_db2: FloatArray, epoch_us: int) -> NDArr
 def initial_sensors(polarimeters: int, epoch_us: int) -> NDArray[np.void]:
     """Return the judgement (1 + P,) of wheels and polarimeters before the first record."""
     sensors = np.zeros(1 + polarimeters, SENSOR)
-    sensors["newest_us"] = sensors["jumped_us"] = sensors["heard_us"] = NEVER_US
-    sensors["heard_us"][1:], sensors["clear_dbm"] = epoch_us, np.nan
+    sensors["newest_us"] = sensors["jumped_us"] = NEVER_US
+    sensors["heard_us"], sensors["clear_dbm"] = epoch_us, np.nan
     return sensors
 
 

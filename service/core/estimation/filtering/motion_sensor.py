@@ -28,6 +28,8 @@ _REPORTED_US = 3_600_000_000
 #: without anything of use for this long yaw is known as without the sensor, us; records of each hour may miss one
 SILENT_US = 3 * 3_600_000_000
 _US_PER_H = 3.6e9
+#: bits of `sensor_advice`
+REFUSED, JUMPED, SILENT = 1, 2, 4
 
 
 class SensorInnovation(NamedTuple):
@@ -144,14 +146,17 @@ def mislead(covariance: FloatArray) -> None:
         covariance[axis, axis] += _MISLED_DEG[axis] ** 2
 
 
-def sensor_advice(sensors: NDArray[np.void], since_us: int, epoch_us: int) -> tuple[bool, bool, bool]:
-    """Return whether any of some sensors is refused, has jumped undeclared, or has been silent for hours at an epoch.
+def sensor_advice(sensors: NDArray[np.void], epoch_us: int) -> int:
+    """Return whether any of some sensors is `REFUSED`, has `JUMPED` undeclared, or has been `SILENT` for hours: bits.
 
-    Silence is counted from `since_us` at the earliest, and only of sensors that are not refused.
+    Silence is counted only of sensors that are not refused.
     """
-    refused = sensors["is_refused"].tolist()
-    is_silent = any(
-        epoch_us - max(heard_us, since_us) > SILENT_US and not is_refused
-        for heard_us, is_refused in zip(sensors["heard_us"].tolist(), refused, strict=True)
-    )
-    return any(refused), epoch_us - max(sensors["jumped_us"].tolist(), default=NEVER_US) < _REPORTED_US, is_silent
+    advice = 0
+    for watch in sensors:
+        if watch["is_refused"]:
+            advice |= REFUSED
+        elif epoch_us - watch["heard_us"] > SILENT_US:
+            advice |= SILENT
+        if epoch_us - watch["jumped_us"] < _REPORTED_US:
+            advice |= JUMPED
+    return advice

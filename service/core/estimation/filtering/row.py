@@ -104,7 +104,7 @@ from service.core.estimation.filtering.row_block import (
     RowBlock,
     RowTrace,
 )
-from service.core.estimation.filtering.sensor_records import model_of_step, take_records
+from service.core.estimation.filtering.sensor_records import model_of_step, motion_advice, take_records
 
 MIN_CARRIERS = 4
 #: smallest declared step of an attitude that the watch on motion must not take for its own, deg
@@ -207,6 +207,7 @@ def take_rows(
             result.carriers["residual_db"][number] = residual_db
         assess(step_model, after, used_count, result.rows[number])
         exclude_carriers(step_model, after, block, number, result)
+        result.rows["motion_advice"][number] = motion_advice(model, after)
         status = write_state(step_model, after, status, block.unreported.shape[1], result.rows[number])
         if status == TAKEN:
             newest = 2 if newest == 1 else 1

@@ -75,6 +75,8 @@ RESULT = np.dtype(
         ("reasons", "i8"),
         ("is_yaw_allowed", "?"),
         ("is_realignment_advised", "?"),
+        # as `sensor_records.motion_advice` has it
+        ("motion_advice", "i8"),
         # yaw, roll, pitch after it, their sigmas, and the rates that attitude, drift and commanded rate imply
         ("attitude_deg", "f8", (3,)),
         ("sigma_deg", "f8", (3,)),

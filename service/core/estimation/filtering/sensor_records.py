@@ -8,6 +8,7 @@ import numpy as np
 
 from service.core.estimation.filtering.filter_model import DRIFT, FIRST_COMMON, RATE
 from service.core.estimation.filtering.filter_state import FilterState
+from service.core.estimation.filtering.motion_sensor import sensor_advice
 from service.core.estimation.filtering.plant import POLARIMETER, FilterModel
 from service.core.estimation.filtering.polarimeter import AngleBlock, push_angle
 from service.core.estimation.filtering.prediction import hidden_states
@@ -61,6 +62,15 @@ def _write_restarted(state: FilterState, trace: RowTrace) -> None:
         for other in range(len(state.mean)):
             together += 1 if state.covariance[place, other] != 0.0 else 0
         trace.is_restarted[-1, place] = together <= 1 or (is_measured and place >= RATE.start)
+
+
+def motion_advice(model: FilterModel, state: FilterState) -> int:
+    """Return what is wrong with wheels (bits 0 to 2), polarimeters (3 to 5), and the rate of the body (6: refused)."""
+    epoch_us, wheels = state.watch[0]["epoch_us"], 0
+    if model.plant[0]["has_wheels"]:
+        wheels = sensor_advice(state.sensors[:1], epoch_us)
+    is_rate_refused = 1 if state.rates[0]["is_refused"] else 0
+    return wheels | sensor_advice(state.sensors[1:], epoch_us) << 3 | is_rate_refused << 6
 
 
 def model_of_step(model: FilterModel, state: FilterState) -> FilterModel:

@@ -186,7 +186,8 @@ def push_momentum(
         return False
     is_first = bool(watch["newest_us"] == NEVER_US)
     begin_record(watch, record_us)
-    watch["heard_us"] = record_us
+    # the first may be of before the alignment
+    watch["heard_us"] = max(watch["heard_us"], record_us)
     watch["newest_n_m_s"][:] = reported
     if is_first:
         begin_momentum(mean, covariance, first, reported)

@@ -7,16 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.core.estimation.filtering.filter_model import FilterSettings
-from service.core.estimation.filtering.filter_state import NEVER_US
 from service.core.estimation.filtering.integrity import REASONS
-from service.core.estimation.filtering.motion_sensor import sensor_advice
 from service.core.estimation.filtering.row import MIN_CARRIERS
 from service.core.estimation.filtering.row_block import EXCLUSIONS, BlockResult
 from service.core.estimation.filtering.state_changes import sensors_of
 from service.core.estimation.snapshot import CarrierUse, Snapshots
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.robust.model import RobustModel
-from service.pipeline.estimation.robust.robust_state import RobustState
 from service.pipeline.estimation.row_inhibitions import INHIBITIONS
 from service.pipeline.inputs.knowledge import Knowledge
 from service.pipeline.inputs.known_motion import disturbance_of
@@ -67,20 +64,29 @@ ADVICE: dict[str, str] = {
 MOTION_ADVICE = tuple(
     code for code in ADVICE if code.startswith(("momentum_", "rates_", "polarimeter_")) and code != "rates_in_loop"
 )
+#: bits of `motion_advice`
+_MOTION_ADVICE = (
+    "momentum_refused",
+    "momentum_jump",
+    "momentum_silent",
+    "polarimeter_refused",
+    "polarimeter_moved",
+    "polarimeter_silent",
+    "rates_refused",
+)
 
 
 def filtered_rows(
     measurements: Sequence[Measurement],
     model: RobustModel,
     knowledge: Knowledge,
-    state: RobustState,
     result: BlockResult,
     is_without_orbit: BoolArray,
     *,
     is_catch_up: bool,
     config: ChainConfig,
 ) -> list[AttitudeRow]:
-    """Return the archive's rows of a block of the filter; the state is that after the block.
+    """Return the archive's rows of a block of the filter.
 
     `is_without_orbit` (T,) says which rows the ephemeris does not reach.
     """
@@ -116,7 +122,7 @@ def filtered_rows(
                 protection_deg=Axes(*figures.protection_deg),
                 nominal_protection_deg=Axes(*figures.nominal_deg),
                 waiting_loss_deg=Axes(*figures.waiting_loss_deg),
-                advice=_advice(model, knowledge, state, result.rows[number], epoch_us),
+                advice=_advice(model, knowledge, figures, epoch_us),
             )
         )
     return made
@@ -138,6 +144,9 @@ class _Figures(NamedTuple):
     common_db: float
     reasons: int
     is_yaw_allowed: bool
+    is_realignment_advised: bool
+    is_torque_shown: bool
+    motion_advice: int
 
 
 def _figures(rows: NDArray[np.void]) -> Iterator[_Figures]:
@@ -170,22 +179,15 @@ def _inhibitions(
     return tuple(reason for reason in INHIBITIONS if reason in standing)
 
 
-def _advice(
-    model: RobustModel, knowledge: Knowledge, state: RobustState, row: np.void, epoch_us: int
-) -> tuple[str, ...]:
+def _advice(model: RobustModel, knowledge: Knowledge, figures: _Figures, epoch_us: int) -> tuple[str, ...]:
     """Return what the operator should do while control goes on."""
-    is_shown = model.is_torque_unknown and bool(row["is_torque_shown"])
-    given = {"realign": bool(row["is_realignment_advised"]), "state_torque": is_shown}
-    if model.has_sensors or model.contradicted or model.is_rate_in_loop:
+    given = {"realign": figures.is_realignment_advised, "state_torque": figures.is_torque_shown}
+    given["state_torque"] &= model.is_torque_unknown
+    if figures.motion_advice or model.contradicted or model.is_rate_in_loop:
         given |= dict.fromkeys(sorted(model.contradicted), True)
-        wheels = sensor_advice(state.filter.sensors[:1], state.commanded.since_us, epoch_us)
-        given["momentum_refused"], given["momentum_jump"], is_silent = wheels
-        given["momentum_silent"] = is_silent and model.settings.momentum is not None
-        given["rates_refused"] = bool(state.filter.rates["is_refused"][0])
         given["rates_in_loop"] = model.is_rate_in_loop and knowledge.has_rate(epoch_us)
-        feeds = sensor_advice(state.filter.sensors[1:], NEVER_US, epoch_us)
-        given["polarimeter_refused"], given["polarimeter_moved"], given["polarimeter_silent"] = feeds
-    return tuple(code for code, is_given in given.items() if is_given)
+        given |= {code: bool(figures.motion_advice >> place & 1) for place, code in enumerate(_MOTION_ADVICE)}
+    return tuple([code for code, is_given in given.items() if is_given])
 
 
 def _exclusions(model: RobustModel, carriers: NDArray[np.void]) -> tuple[Exclusion, ...]:

@@ -177,7 +177,7 @@ def take_rows(
     last = RobustState(after, commanded, readings, released, measurements[-1].source)
     is_without_orbit = np.asarray(~np.isfinite(expected_dbm).any(axis=1))
     rows = filtered_rows(
-        measurements, model, knowledge, last, result, is_without_orbit, is_catch_up=is_catch_up, config=config
+        measurements, model, knowledge, result, is_without_orbit, is_catch_up=is_catch_up, config=config
     )
     found = result.carriers
     return [

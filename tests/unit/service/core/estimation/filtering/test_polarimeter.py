@@ -13,9 +13,9 @@ from service.core.estimation.filtering.filter_model import (
     PolarimeterModel,
     no_carriers,
 )
-from service.core.estimation.filtering.filter_state import NEVER_US, initial_sensors
+from service.core.estimation.filtering.filter_state import initial_sensors
 from service.core.estimation.filtering.motion import hidden_decay
-from service.core.estimation.filtering.motion_sensor import sensor_advice, use_record
+from service.core.estimation.filtering.motion_sensor import JUMPED, REFUSED, SILENT, sensor_advice, use_record
 from service.core.estimation.filtering.plant import POLARIMETER, filter_model, momentum_count, sensor_states
 from service.core.estimation.filtering.polarimeter import (
     AngleBlock,
@@ -152,8 +152,8 @@ def taken(watch, gaussian, block, polarimeter):
 
 
 def told(watches, epoch_us):
-    names, advised = ("refused", "moved", "silent"), sensor_advice(watches, NEVER_US, epoch_us)
-    return [name for name, stands in zip(names, advised, strict=True) if stands]
+    advised = sensor_advice(watches, epoch_us)
+    return [name for name, bit in (("refused", REFUSED), ("moved", JUMPED), ("silent", SILENT)) if advised & bit]
 
 
 def advice(judged):

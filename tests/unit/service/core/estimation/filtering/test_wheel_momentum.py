@@ -6,7 +6,7 @@ from wheel_filter import FIRST, MINUTE_US, SETTINGS, SIZE, H, state
 
 from service.core.estimation.filtering.filter_model import FilterSettings, Gaussian, MomentumModel, no_carriers
 from service.core.estimation.filtering.filter_state import initial_sensors
-from service.core.estimation.filtering.motion_sensor import sensor_advice
+from service.core.estimation.filtering.motion_sensor import JUMPED, REFUSED, SILENT, sensor_advice
 from service.core.estimation.filtering.plant import (
     TORQUES,
     filter_model,
@@ -107,13 +107,10 @@ def is_same(after, before):
     return repr(watch) == repr(former) and all(map(np.array_equal, gaussian, kept))
 
 
-def advice(watch, epoch_us, since_us=0):
+def advice(watch, epoch_us):
     """Return which of refused, jumped and silent is told."""
-    return [
-        name
-        for name, told in zip(("refused", "jump", "silent"), sensor_advice(watch, since_us, epoch_us), strict=True)
-        if told
-    ]
+    told = sensor_advice(watch, epoch_us)
+    return [name for name, bit in (("refused", REFUSED), ("jump", JUMPED), ("silent", SILENT)) if told & bit]
 
 
 def noisy_records(count, seed=1):
