@@ -23,7 +23,7 @@ from db.measurements.ingest import StoreBatch, prepare
 from db.measurements.journal_heads import HEAD_COLUMNS, SOURCE_COLUMNS, head_states, journal_heads, source_state
 from db.measurements.measurement_pages import EVER, UNCHECKED, Chosen, MeasurementPages, sampled_powers
 from db.schema.columns import sound_rows
-from db.schema.tables import carrier_plan, head, journal, operation, source, source_key_run
+from db.schema.tables import carrier_plan, head, journal, operation, source, source_key_run, spacecraft
 from service.errors import InvalidInputError, NotFoundError
 from service.ports.archive import Cursor, Intervals, ListPart, MeasuredFigure, SampledPowers
 from service.records.calibration import Window
@@ -231,6 +231,14 @@ class SqlArchive:
         key = self._database.key(spacecraft_id)
         query = select(*SOURCE_COLUMNS).where(source.c.spacecraft_key == key).order_by(source.c.source_key)
         return tuple(map(source_state, self._database.fetch(query)))
+
+    def every_source(self) -> dict[str, list[SourceState]]:
+        """Return the measurement sources of each spacecraft that has one."""
+        query = select(spacecraft.c.id, *SOURCE_COLUMNS).join_from(source, spacecraft).order_by(source.c.source_key)
+        by_id: dict[str, list[SourceState]] = {}
+        for row in self._database.fetch(query):
+            by_id.setdefault(row[0], []).append(source_state(row[1:]))
+        return by_id
 
     def select_source(self, spacecraft_id: str, source: str) -> SourceState:
         """Make a source the prime one, journaled; rows stored from then on feed the estimator."""

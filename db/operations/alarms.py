@@ -98,7 +98,7 @@ class SqlAlarms(Repository):
     def count_refused(self, spacecraft_id: str, is_refused: Sequence[bool]) -> None:
         """Count records of telemetry that were refused one after another, whichever process refused them."""
         key = self._database.key(spacecraft_id)
-        if not any(is_refused) and not self.refused(spacecraft_id):
+        if not any(is_refused) and spacecraft_id not in self.refused():
             return
 
         def store(connection: Connection) -> None:
@@ -110,10 +110,11 @@ class SqlAlarms(Repository):
 
         self._database.write(store)
 
-    def refused(self, spacecraft_id: str) -> int:
-        """Return how many records of telemetry were refused since one was accepted."""
-        row = self._database.fetch_one(_refused(spacecraft_id))
-        return 0 if row is None else int(row.refused)
+    def refused(self) -> dict[str, int]:
+        """Return how many records of telemetry were refused since one was accepted, by spacecraft; none: not named."""
+        memory = alarm_memory.c
+        rows = self._database.fetch(select(memory.spacecraft_id, memory.refused).where(memory.refused > 0))
+        return dict(map(tuple, rows))
 
     def limits(self, spacecraft_id: str, version: int | None = None) -> AlarmLimits:
         """Return a version of the limits, or the newest; version 0 are the defaults."""

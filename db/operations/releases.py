@@ -6,7 +6,7 @@ from db.database import Repository, lock_head, page_of
 from db.encoding.record_codec import decode, encode
 from db.measurements.archive import store_inputs
 from db.schema.columns import sound_rows
-from db.schema.tables import release_command, release_state, uplink_product
+from db.schema.tables import release_command, release_state, spacecraft, uplink_product
 from service.errors import ConflictError, NotFoundError
 from service.ports.archive import ListPart
 from service.records.operations.release import Command, ProductForm, ReleaseChange, StoredRelease, UplinkProduct
@@ -20,6 +20,12 @@ class SqlReleases(Repository):
         key = self._database.key(spacecraft_id)
         row = self._database.fetch_one(select(release_state).where(release_state.c.spacecraft_key == key))
         return StoredRelease() if row is None else StoredRelease(int(row.version), row.document, row.holder)
+
+    def versions(self) -> dict[str, int]:
+        """Return the version of the newest state of each spacecraft that has one."""
+        is_its_state = release_state.c.spacecraft_key == spacecraft.c.spacecraft_key
+        rows = self._database.fetch(select(spacecraft.c.id, release_state.c.version).where(is_its_state))
+        return dict(map(tuple, rows))
 
     def save(self, spacecraft_id: str, version: int, change: ReleaseChange) -> int:
         """Store a change in one transaction and return its version; ConflictError ``release.changed``."""

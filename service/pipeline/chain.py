@@ -119,6 +119,7 @@ class Chain:
         self._has_commands = has_commands
         self._knowledge = Knowledge()
         self._runners: tuple[MethodRunner, ...] = tuple(_RUNNERS[m](lookup, config) for m in METHODS if m in methods)
+        self._methods = tuple([runner.method for runner in self._runners])
         for runner in self._runners:
             if isinstance(runner, RobustRunner):
                 runner.recorder = recorder
@@ -359,7 +360,7 @@ class Chain:
         if spacecraft is None or not self._has_commands:
             return Outcome(rows, None, disagreement_deg=apart_deg, carriers=carriers)
         wanted = spacecraft.control.method
-        if all(runner.method is not wanted for runner in self._runners):
+        if wanted not in self._methods:
             return Outcome(rows, None, disagreement_deg=apart_deg, carriers=carriers)
         source = next((each for each in method_rows if each.row.method is wanted), None)
         driving = self._row_of_silent(rows[0], wanted) if source is None else source.row

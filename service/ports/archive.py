@@ -104,6 +104,9 @@ class Archive(Protocol):
     def sources(self, spacecraft_id: str) -> tuple[SourceState, ...]:
         """Return all measurement sources."""
 
+    def every_source(self) -> dict[str, list[SourceState]]:
+        """Return the measurement sources of each spacecraft that has one."""
+
     def select_source(self, spacecraft_id: str, source: str) -> SourceState:
         """Make a source the prime one, journaled; rows stored from then on feed the estimator."""
 

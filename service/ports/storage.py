@@ -189,6 +189,9 @@ class Releases(Protocol):
     def stored(self, spacecraft_id: str) -> StoredRelease:
         """Return the newest state; version 0 and an empty document before the first."""
 
+    def versions(self) -> dict[str, int]:
+        """Return the version of the newest state of each spacecraft that has one."""
+
     def save(self, spacecraft_id: str, version: int, change: ReleaseChange) -> int:
         """Store a change and its journal entries in one transaction and return the version that it has.
 
@@ -296,8 +299,8 @@ class Alarms(Protocol):
     def count_refused(self, spacecraft_id: str, is_refused: Sequence[bool]) -> None:
         """Count records of telemetry that were refused one after another, whichever process refused them."""
 
-    def refused(self, spacecraft_id: str) -> int:
-        """Return how many records of telemetry were refused since one was accepted."""
+    def refused(self) -> dict[str, int]:
+        """Return how many records of telemetry were refused since one was accepted, by spacecraft; none: not named."""
 
     def limits(self, spacecraft_id: str, version: int | None = None) -> AlarmLimits:
         """Return a version of the limits, or the newest, 0 = the defaults; NotFoundError ``alarm_limits.unknown``."""

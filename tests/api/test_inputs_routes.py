@@ -85,7 +85,7 @@ async def test_a_momentum_beyond_the_catalogue_is_a_refused_row(soo, spacecraft)
     refused = [(each["index"], each["code"], each["next_step"]) for each in answer["refused"]]
     assert refused == [(k, "telemetry.momentum", NEXT_STEPS["telemetry.momentum"]) for k in (1, 3)]
     assert "30 N m s" in answer["refused"][0]["detail"]
-    assert soo.app.state.context.storage.alarms.refused("yamal-202") == 2
+    assert soo.app.state.context.storage.alarms.refused() == {"yamal-202": 2}
     listed = (await soo.client.get(f"{BASE}/telemetry")).json()["rows"]
     assert [row["wheel_momentum_n_m_s"] for row in listed] == [momenta[0], None]
 

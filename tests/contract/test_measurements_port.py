@@ -214,7 +214,7 @@ def test_stale_rows_are_late(setting):
 
 def test_an_empty_batch_changes_nothing(setting):
     assert setting.append([]) == BatchReceipt(0, 0, 0, ())
-    assert setting.storage.archive.sources(setting.id) == ()
+    assert (setting.storage.archive.sources(setting.id), setting.storage.archive.every_source()) == ((), {})
 
 
 def test_an_unknown_plan_and_a_wrong_number_of_carriers_are_refused(setting):
@@ -240,6 +240,7 @@ def test_the_first_source_feeds_and_selection_moves_the_feed(setting):
         ("sa-1", "backup", 30, 2),
         ("sa-2", "prime", 40, 2),
     ]
+    assert archive.every_source() == {setting.id: list(archive.sources(setting.id))}
     with pytest.raises(NotFoundError) as caught:
         archive.select_source(setting.id, "sa-3")
     assert caught.value.code == "source.unknown"

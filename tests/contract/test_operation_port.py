@@ -195,10 +195,11 @@ def release_change(document="{}", **parts):
 
 def test_the_state_comes_back_as_it_was_with_its_version(setting):
     releases = setting.storage.releases
-    assert releases.stored(setting.id) == StoredRelease()
+    assert (releases.stored(setting.id), releases.versions()) == (StoredRelease(), {})
     assert releases.save(setting.id, 0, release_change('{"a": 1}')) == 1
     assert releases.save(setting.id, 1, replace(release_change('{"a": 2}'), holder="process-2")) == 2
     assert releases.stored(setting.id) == StoredRelease(2, '{"a": 2}', "process-2")
+    assert releases.versions() == {setting.id: 2}
     with pytest.raises(NotFoundError, match=r"spacecraft\.unknown"):
         releases.stored("nobody")
 

@@ -1,7 +1,7 @@
 """Inhibitions of control by a row, and the disagreement of both methods."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from service.pipeline.config import InterlockConfig, RobustConfig
@@ -72,39 +72,16 @@ BALANCED = frozenset(
 )
 
 
-@dataclass(frozen=True)
-class RowContext:
-    """Context of a row for the interlock, beside its fix."""
-
-    is_late: bool
-    is_catch_up: bool
-    is_settled: bool
-    is_fading: bool
-    is_risen: bool
-    has_inhibiting_operation: bool
-    is_thrusting_undeclared: bool
-
-
 def judge(
-    angles_deg: Sequence[float], carriers_used: int, context: RowContext, config: InterlockConfig
+    angles_deg: Sequence[float], carriers_used: int, conditions: Mapping[str, bool], config: InterlockConfig
 ) -> tuple[str, ...]:
-    """Return what a fix of the paper method, yaw, roll and pitch by some carriers, and its row inhibit control for."""
-    standing = _circumstantial(context) | _of_fix(angles_deg, carriers_used, config)
-    return tuple(reason for reason in INHIBITIONS if reason in standing) if standing else ()
+    """Return what a fix of the paper method, yaw, roll and pitch by some carriers, and its row inhibit control for.
 
-
-def _circumstantial(context: RowContext) -> set[str]:
-    """Return the reasons that lie outside the fix."""
-    conditions = {
-        "late": context.is_late,
-        "catch_up": context.is_catch_up,
-        "settling": not context.is_settled,
-        "downlink_fade": context.is_fading,
-        "common_change": context.is_risen,
-        "operation": context.has_inhibiting_operation,
-        "undeclared_operation": context.is_thrusting_undeclared,
-    }
-    return {reason for reason, stands in conditions.items() if stands}
+    `conditions` says which of `INHIBITIONS` stand beside the fix.
+    """
+    standing = {reason for reason, stands in conditions.items() if stands}
+    standing |= _of_fix(angles_deg, carriers_used, config)
+    return tuple(sorted(standing, key=tuple(INHIBITIONS).index)) if standing else ()
 
 
 def _of_fix(angles_deg: Sequence[float], carriers_used: int, config: InterlockConfig) -> set[str]:

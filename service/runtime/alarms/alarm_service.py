@@ -22,8 +22,7 @@ from service.pipeline.estimation.method import RowEvidence
 from service.ports.storage import ARCHIVE, Alarms, Clock, Storage, Term
 from service.records.epoch import US_PER_S
 from service.records.operations.alarms import Alarm, AlarmChange, AlarmLimits, EngineMemory, Handling
-from service.records.operations.work import LinkState
-from service.runtime.alarms.clock_checks import ClockChecks
+from service.runtime.alarms.clock_checks import ClockChecks, StoredFacts
 from service.runtime.alarms.notifications import NoticeChannel
 from service.runtime.live.leadership import always, elsewhere
 from service.runtime.live.live_feed import Cursor, FeedEvent, LiveFeed, Seen
@@ -296,13 +295,12 @@ class AlarmService:
         self._polls += 1
         with self._lock:
             with self._guarded(None):
-                # of all spacecraft at once: where there are hundreds, statements for each cost more than their rows
-                heads, links = self._storage.archive.heads(), self._storage.links.links()
+                stored = StoredFacts.read(self._storage)
                 for spacecraft in self._storage.catalogue.all_spacecraft():
-                    if self._is_on_duty(spacecraft.id) and (head := heads.get(spacecraft.id)) is not None:
+                    if self._is_on_duty(spacecraft.id) and (head := stored.heads.get(spacecraft.id)) is not None:
                         with self._guarded(spacecraft.id):
                             now_us = self._clock.reading(spacecraft, head.newest_epoch_us).now_us
-                            self._check_spacecraft(spacecraft.id, now_us, links, is_thorough=is_thorough)
+                            self._check_spacecraft(spacecraft.id, now_us, stored, is_thorough=is_thorough)
             if not self._is_on_duty(None):
                 return
             with self._guarded(None):
@@ -310,15 +308,16 @@ class AlarmService:
                 self._check(self._persisted(None), readings, self._clock.system_us())
 
     def _check_spacecraft(
-        self, spacecraft_id: str, now_us: int | None, links: tuple[LinkState, ...], *, is_thorough: bool
+        self, spacecraft_id: str, now_us: int | None, stored: StoredFacts, *, is_thorough: bool
     ) -> None:
         """Check one spacecraft by its clock, the estimator alone where it has no row and therefore no present yet."""
         persisted = self._persisted(spacecraft_id)
-        readings = [self._checks.of_estimator(spacecraft_id)]
-        families = [self._checks.of_telemetry(spacecraft_id)]
+        readings = [self._checks.of_estimator(spacecraft_id), self._checks.of_telemetry(spacecraft_id, stored)]
+        families = []
         if now_us is not None:
-            families.append(self._checks.of_inputs(spacecraft_id, persisted.reader, now_us, links))
-            families.append(self._checks.of_release(spacecraft_id, now_us))
+            families.append(self._checks.of_inputs(spacecraft_id, persisted.reader, now_us, stored))
+            version = stored.release_versions.get(spacecraft_id, 0)
+            families.append(self._checks.of_release(spacecraft_id, now_us, version))
             if is_thorough:
                 families.append(self._checks.of_foundations(spacecraft_id, now_us))
         for family in families:

@@ -4,9 +4,10 @@ Everything is asked of the archive; links are judged by the system's time, the r
 """
 
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from typing import NamedTuple
 
 from service.errors import NotFoundError
 from service.pipeline.alarms.alarm_engine import Explanation, Readings
@@ -16,7 +17,7 @@ from service.pipeline.control.release.events import ReleaseState, state_of
 from service.ports.storage import Clock, Storage
 from service.records.calibration import CalibrationState
 from service.records.epoch import US_PER_S
-from service.records.levels.measurement import SourceState
+from service.records.levels.measurement import HeadState, SourceState
 from service.records.operations.work import LinkState
 from service.runtime.live.supervisor import StepFailures
 
@@ -28,6 +29,23 @@ _DAY_US = 24 * _HOUR_US
 #: a key that ended so long ago needs no alarm: who used it has noticed
 _ENDED_DAYS = 1.0
 _MB = 1e6
+
+
+class StoredFacts(NamedTuple):
+    """What the archive holds of every spacecraft: statements for each of hundreds cost more than their rows."""
+
+    heads: dict[str, HeadState]
+    links: tuple[LinkState, ...]
+    sources: dict[str, list[SourceState]]
+    #: records of telemetry that were refused one after another
+    refused: dict[str, int]
+    release_versions: dict[str, int]
+
+    @classmethod
+    def read(cls, storage: Storage) -> "StoredFacts":
+        """Return what a storage holds now."""
+        archive, refused = storage.archive, storage.alarms.refused()
+        return cls(archive.heads(), storage.links.links(), archive.every_source(), refused, storage.releases.versions())
 
 
 @dataclass(slots=True)
@@ -67,13 +85,10 @@ class ClockChecks:
         self._releases: dict[str, tuple[int, ReleaseState]] = {}
         self._down_since_us: dict[str, int] = {}
 
-    def of_inputs(
-        self, spacecraft_id: str, reader: RowReader, now_us: int, every_link: tuple[LinkState, ...]
-    ) -> Iterator[Readings]:
+    def of_inputs(self, spacecraft_id: str, reader: RowReader, now_us: int, stored: StoredFacts) -> Iterator[Readings]:
         """Yield the readings of the inputs: age of the newest row, missing rows, links and their warnings."""
         seen = self._seen.setdefault(spacecraft_id, _Seen(now_us))
-        sources = self._storage.archive.sources(spacecraft_id)
-        links = _links_of(spacecraft_id, every_link)
+        sources, links = stored.sources.get(spacecraft_id, []), _links_of(spacecraft_id, stored.links)
         # a link that is down explains what no longer comes through it, and goes first
         yield from self._links(links)
         link_of = {link.report.source: Explanation(("link_down", link.report.id)) for link in links}
@@ -88,13 +103,13 @@ class ClockChecks:
         things = tuple(each.kind for each in failing)
         return Readings("estimator_failed", things, lasting_s, {each.kind: each.error for each in failing})
 
-    def of_telemetry(self, spacecraft_id: str) -> Iterator[Readings]:
-        """Yield how many records of momenta were refused one after another."""
-        yield Readings("telemetry_refused", ("momentum",), (float(self._storage.alarms.refused(spacecraft_id)),))
+    def of_telemetry(self, spacecraft_id: str, stored: StoredFacts) -> Readings:
+        """Return how many records of momenta were refused one after another."""
+        return Readings("telemetry_refused", ("momentum",), (float(stored.refused.get(spacecraft_id, 0)),))
 
-    def of_release(self, spacecraft_id: str, now_us: int) -> Iterator[Readings]:
-        """Yield the readings of the stored release of torques."""
-        state = self._release_state(spacecraft_id)
+    def of_release(self, spacecraft_id: str, now_us: int, version: int) -> Iterator[Readings]:
+        """Yield the readings of the stored release of torques, whose newest version is known."""
+        state = self._release_state(spacecraft_id, version)
         since_s = max((now_us - state.interlock.since_us) / US_PER_S, _LEAST_AGE_S)
         trips = tuple(condition.word for condition in state.interlock.trips)
         yield Readings("control_tripped", trips, (since_s,) * len(trips))
@@ -104,12 +119,12 @@ class ClockChecks:
         over_s = [(now_us - max(each.stop_us, each.released_us or 0)) / US_PER_S for each in waiting]
         yield Readings("report_late", tuple(f"command {each.counter}" for each in waiting), tuple(over_s))
 
-    def _release_state(self, spacecraft_id: str) -> ReleaseState:
-        """Return the stored state of a release; one that has not changed is not decoded again."""
-        releases = self._storage.releases
-        stored = releases.stored(spacecraft_id)
-        version, state = self._releases.get(spacecraft_id, (-1, None))
-        if state is None or version != stored.version:
+    def _release_state(self, spacecraft_id: str, version: int) -> ReleaseState:
+        """Return the stored state of a release; one that has not changed is not read again."""
+        known, state = self._releases.get(spacecraft_id, (-1, None))
+        if state is None or version != known:
+            releases = self._storage.releases
+            stored = releases.stored(spacecraft_id)
             state = state_of(stored.document, partial(releases.command, spacecraft_id))
             self._releases[spacecraft_id] = stored.version, state
         return state
@@ -145,7 +160,7 @@ class ClockChecks:
 
     def _age(
         self,
-        sources: tuple[SourceState, ...],
+        sources: Sequence[SourceState],
         reader: RowReader,
         seen: _Seen,
         now_us: int,
@@ -207,7 +222,7 @@ def _held(link: LinkState) -> list[str]:
     return list(map(str, held)) if isinstance(held, list) else []
 
 
-def _missing(sources: tuple[SourceState, ...], seen: _Seen, now_us: int) -> tuple[tuple[str, ...], tuple[float, ...]]:
+def _missing(sources: Sequence[SourceState], seen: _Seen, now_us: int) -> tuple[tuple[str, ...], tuple[float, ...]]:
     """Return by how much the missing rows of each source grew within the last hour."""
     grown = {}
     for source in sources:

@@ -363,7 +363,7 @@ class SpacecraftRelease:
             if isinstance(event, InputsChanged):
                 event = InputsChanged(event.at, replace(event.inputs, lease_holders=2))
         step = advance(before, event, self.settings)
-        return replace(step, effects=(*effects, *step.effects))
+        return replace(step, effects=(*effects, *step.effects)) if effects else step
 
     def _store(self, step: Step, at: Instant) -> None:
         """Store what a step must not lose, in one transaction; only then does the state hold."""

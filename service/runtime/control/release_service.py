@@ -222,11 +222,15 @@ class ReleaseLoop:
         is_data = self.clock.is_data(release.spacecraft_id)
         return max(0 if stored is None else stored.now_us, consumed_us or 0 if is_data else 0)
 
-    def _update_inputs(self, release: SpacecraftRelease, at: Instant) -> None:
-        """Read the facts of the archive if they are old, and handle a change of the interlock's inputs."""
+    def _refresh_facts(self, release: SpacecraftRelease, at: Instant) -> None:
+        """Read the facts of the archive if they are old."""
         if release.known is None or time.monotonic() - release.read_s > _FACTS_S:
             release.known = self._facts(release, at)
             release.read_s = time.monotonic()
+
+    def _update_inputs(self, release: SpacecraftRelease, at: Instant) -> None:
+        """Handle a change of the interlock's inputs."""
+        self._refresh_facts(release, at)
         holders, is_disagreeing = release.lease_holders(at.now_us), release.is_disagreeing
         inputs = interlock_inputs(release.facts, at.now_us, lease_holders=holders, is_disagreeing=is_disagreeing)
         if inputs != release.state.interlock.inputs:
@@ -245,10 +249,10 @@ class ReleaseLoop:
     def _on_row(self, release: SpacecraftRelease, stored: StoredRow) -> None:
         epochs_us = [row.epoch_us for row in stored.outcome.rows]
         at = self._instant(release, max(epochs_us, default=None))
-        self._update_inputs(release, at)
+        self._refresh_facts(release, at)
         row = release.update(stored, release.spacecraft.control.method)
+        self._update_inputs(release, at)
         if row is not None:
-            self._update_inputs(release, at)
             handle_row(release, stored, row, at, may_send=self._may_send(release.spacecraft))
 
     def _may_send(self, spacecraft: Spacecraft) -> bool:

@@ -34,7 +34,7 @@ from service.core.geometry.line_of_sight import node_phase_at_rad
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.method import CalibratedColumns, CarrierLevels, MethodRow
 from service.pipeline.estimation.paper.paper_model import PaperModel, paper_model
-from service.pipeline.estimation.row_inhibitions import RowContext, judge
+from service.pipeline.estimation.row_inhibitions import judge
 from service.pipeline.inputs.knowledge import Knowledge, Lookup
 from service.pipeline.inputs.known_motion import (
     CommandedMotion,
@@ -119,16 +119,16 @@ def take_rows(
     for number, (measurement, figures) in enumerate(
         zip(measurements, map(_Figures._make, zip(*by_name, strict=True)), strict=True)
     ):
-        context = RowContext(
-            is_late=is_late,
-            is_catch_up=is_catch_up,
-            is_settled=is_late or figures.rows >= config.estimation.min_rows,
-            is_fading=figures.is_fading,
-            is_risen=figures.is_risen,
-            has_inhibiting_operation=bool(knowledge.inhibiting_operations(measurement.epoch_us)),
-            is_thrusting_undeclared=knowledge.is_thrusting_undeclared(measurement.epoch_us),
-        )
-        inhibitions = judge(figures.attitude_deg, figures.carriers_used, context, config.interlock)
+        conditions = {
+            "late": is_late,
+            "catch_up": is_catch_up,
+            "settling": not is_late and figures.rows < config.estimation.min_rows,
+            "downlink_fade": figures.is_fading,
+            "common_change": figures.is_risen,
+            "operation": bool(knowledge.inhibiting_operations(measurement.epoch_us)),
+            "undeclared_operation": knowledge.is_thrusting_undeclared(measurement.epoch_us),
+        }
+        inhibitions = judge(figures.attitude_deg, figures.carriers_used, conditions, config.interlock)
         rows.append(_row(measurement, model, figures, levels[number], inhibitions, is_late=is_late))
     moved = state if is_late else _moved(state, after)
     return list(map(PaperStep, rows, levels, results)), moved
