@@ -93,7 +93,7 @@ def _row_seen(state: ReleaseState, event: events.RowSeen, settings: ReleaseSetti
     since_us = event.at.now_us if interlock.innovation_since_us is None else interlock.innovation_since_us
     updated = replace(
         interlock,
-        row=replace(row, is_after_gap=is_after_gap),
+        row=replace(row, is_after_gap=True) if is_after_gap else row,
         innovation_since_us=None if row.is_innovation_in_band else since_us,
     )
     return Step(replace(state, interlock=updated))

@@ -131,6 +131,8 @@ class Interlock:
         return inputs.calibration_id, inputs.plan_id, inputs.spacecraft_version, inputs.control_version
 
 
+#: places in the table of conditions
+_ORDER = {condition: place for place, condition in enumerate(Condition)}
 #: what withholds every torque
 _INHIBITING = (Consequence.INHIBIT, Consequence.TRIP)
 
@@ -165,7 +167,9 @@ def conditions_at(
         # computed commands pass no check of the interlock: the estimator alone withholds their yaw torque
         Condition.YAW_SIGN: not interlock.inputs.is_automatic and "yaw" not in interlock.proven_axes,
     }
-    return tuple(condition for condition in Condition if stands.get(condition))
+    return tuple(
+        sorted((condition for condition, is_standing in stands.items() if is_standing), key=_ORDER.__getitem__)
+    )
 
 
 def unreported_since_us(command: Command) -> int:
