@@ -22,10 +22,10 @@ from service.records.levels.measurement import Measurement
 from service.records.operations.release import UplinkProduct
 from service.study.closed_loop.centre import Centre
 from service.study.closed_loop.controllers import LEAD_MARGIN_S, LEAD_S, ByTruth, Controller, Idle, Sensing
-from service.study.closed_loop.ground_knowledge import ground_of, slow_inputs
+from service.study.closed_loop.ground_knowledge import ground_of
 from service.study.closed_loop.plant_process import PlantProcess, PlantRow, SpacecraftTruth
 from service.study.estimation.flight.drive import UndrivenError, align, calibrate
-from service.study.estimation.flight.world import Ground
+from service.study.estimation.flight.world import Ground, journal_entry, read_contents
 
 #: what the spacecraft tells of commands
 STATES = ("executed", "executing", "replaced", "repeated", "late", "refused")
@@ -176,10 +176,12 @@ class GroundJournal:
 
     def update(self, row: PlantRow, controller: Controller) -> None:
         """Hand the ground's new inputs to the chain and follow a change of the plan."""
-        for content in slow_inputs(row.ground, self.documents, 1000 * self.number):
-            if isinstance(content, PlanChange):
-                self.plan_id = content.plan_id
-            controller.on_ground(content)
+        for number, line in enumerate(row.ground, start=1000 * self.number):
+            for content in read_contents(line, number):
+                entry = journal_entry(content, self.documents)
+                if isinstance(entry, PlanChange):
+                    self.plan_id = entry.plan_id
+                controller.on_ground(entry)
 
     def measurement(self, row: PlantRow) -> Measurement:
         """Return the powers of a row in the order of the plan."""

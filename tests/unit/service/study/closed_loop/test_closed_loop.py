@@ -305,7 +305,7 @@ def test_over_an_ideal_uplink_a_command_counts_from_its_epoch():
     assert link.centre.decide(MEASUREMENT, truth(0.0)).is_inhibited
 
 
-UNIT = LoopUnit("nominal", 3, Sensing.AUTOMATIC, "link", 0.5, (0.1, 0.2, 0.3))
+UNIT = LoopUnit("nominal", 3, Sensing.AUTOMATIC, "link", 0.5, 1e-6)
 
 
 def flight():
