@@ -13,10 +13,12 @@ import argparse
 import math
 import statistics
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
+from unittest.mock import patch
 
 import numpy as np
 
@@ -25,7 +27,7 @@ from service.core.estimation.filtering.filter_model import CarrierModel
 from service.core.estimation.filtering.filter_state import FilterState, start
 from service.core.estimation.filtering.plant import FilterModel, filter_model
 from service.core.estimation.filtering.row_block import TAKEN, empty_block, empty_result
-from service.pipeline.chain import METHODS, Chain
+from service.pipeline.chain import METHODS, Chain, ChainRow
 from service.pipeline.config import ChainConfig
 from service.records.catalogue import BodyRateSensor, Method, Polarimeter, Spacecraft, WheelMomentum
 from service.records.inputs import (
@@ -38,6 +40,7 @@ from service.records.inputs import (
     TelemetryRecord,
 )
 from service.records.levels.attitude import Axes
+from service.records.levels.measurement import Measurement
 from tests.fakes.worlds.filter_models import aligned, carrier_model
 from tests.fakes.worlds.geometry_flight import HOUR, MINUTE, START_US, FlightDocuments, FlightPayload
 
@@ -110,6 +113,21 @@ def yardstick_s(repeats: int = 40) -> float:
         np.linalg.solve(matrix, draw)
         taken.append(time.thread_time() - began)
     return statistics.median(taken)
+
+
+@contextmanager
+def chain_time() -> Iterator[list[float]]:
+    """Give a list whose only element counts the processor time of the steps of every chain, s."""
+    plain, spent_s = Chain.rows, [0.0]
+
+    def timed(chain: Chain, measurements: Sequence[Measurement], *, is_catch_up: bool = False) -> list[ChainRow]:
+        began_s = time.thread_time()
+        rows_out = plain(chain, measurements, is_catch_up=is_catch_up)
+        spent_s[0] += time.thread_time() - began_s
+        return rows_out
+
+    with patch.object(Chain, "rows", timed):
+        yield spent_s
 
 
 def block_s(carriers: int, seed: int = 5) -> float:
