@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -59,6 +60,11 @@ def numeric(
     return Command(pattern, write, query, (kind,), query_parameters=(kind,))
 
 
+def switch(pattern: str, write: Callable[[Call, bool], None], is_on: Callable[[Call], bool]) -> Command:
+    """Return the row of a switch, which is answered as 1 or 0."""
+    return Command(pattern, write, lambda call: str(int(is_on(call))), (Boolean(),))
+
+
 def boolean(pattern: str, attribute: str, freeze: Callable[[Settings], None] | None = None) -> Command:
     """Return the row of a switch; ``freeze`` keeps the value in force when a coupling is switched off."""
 
@@ -69,10 +75,7 @@ def boolean(pattern: str, attribute: str, freeze: Callable[[Settings], None] | N
         setattr(settings, attribute, value)
         call.instrument.invalidate()
 
-    def query(call: Call) -> str:
-        return str(int(getattr(call.instrument.settings, attribute)))
-
-    return Command(pattern, write, query, (Boolean(),))
+    return switch(pattern, write, lambda call: getattr(call.instrument.settings, attribute))
 
 
 def choice(pattern: str, attribute: str, words: tuple[str, ...], *, is_display: bool = False) -> Command:
@@ -106,27 +109,45 @@ def inert(pattern: str, default: str, words: tuple[str, ...] = ()) -> Command:
 
 def inert_number(pattern: str, default: float, low: float, high: float, units: Mapping[str, float] = PURE) -> Command:
     """Return the row of a number that is remembered and answered but changes nothing."""
-    words = {"MIN": low, "MAX": high, "DEF": default}
+
+    def put(call: Call, value: float) -> None:
+        call.instrument.settings.inert[pattern] = number_text(value)
+
+    def read(call: Call) -> float:
+        return float(call.instrument.settings.inert.get(pattern, default))
+
+    return replace(_bounded(pattern, Limits(low, high, default), units, -224, (put, read)), is_inert=True)
+
+
+def _bounded(
+    pattern: str,
+    limits: Limits,
+    units: Mapping[str, float],
+    unknown: int,
+    access: tuple[Callable[[Call, float], None], Callable[[Call], float]],
+) -> Command:
+    """Return the row of a number within limits, with its MIN MAX DEF; `unknown` is the error of another word."""
+    words = {"MIN": limits.low, "MAX": limits.high, "DEF": limits.default}
+    put, read = access
 
     def wanted(value: float | str) -> float:
         if isinstance(value, str) and value not in words:
-            raise ScpiError(-224, value)
+            raise ScpiError(unknown, value)
         return words[value] if isinstance(value, str) else value
 
     def write(call: Call, value: float | str) -> None:
-        clamped = min(max(wanted(value), low), high)
-        call.instrument.settings.inert[pattern] = number_text(clamped)
-        if clamped != wanted(value):
-            raise ScpiError(-222, f"{value:g}")
+        number = wanted(value)
+        clamped = min(max(number, limits.low), limits.high)
+        put(call, clamped)
+        if clamped != number:
+            raise ScpiError(-222, f"{number:g}")
 
     def query(call: Call, value: float | str = "") -> str:
         if not isinstance(value, str):
             raise ScpiError(-128)
-        if value:
-            return number_text(wanted(value))
-        return call.instrument.settings.inert.get(pattern, number_text(default))
+        return number_text(wanted(value) if value else read(call))
 
-    return Command(pattern, write, query, (Numeric(units),), query_parameters=(Numeric(units),), is_inert=True)
+    return Command(pattern, write, query, (Numeric(units),), query_parameters=(Numeric(units),))
 
 
 def constant(pattern: str, answer: str) -> Command:
@@ -204,7 +225,7 @@ def step_auto_row(pattern: str) -> Command:
         settings = call.instrument.settings
         settings.step_chosen_hz = None if is_auto else settings.step_hz
 
-    return Command(pattern, write, lambda call: str(int(call.instrument.settings.step_chosen_hz is None)), (Boolean(),))
+    return switch(pattern, write, lambda call: call.instrument.settings.step_chosen_hz is None)
 
 
 def full_span_row(pattern: str) -> Command:
@@ -355,25 +376,13 @@ def channel_row(
     is_whole: bool = False,
 ) -> Command:
     """Return the row of a number of ``ChannelSettings`` with its MIN MAX DEF; ``reshapes`` makes the trace stale."""
-    words = {"MIN": limits.low, "MAX": limits.high, "DEF": limits.default}
 
-    def write(call: Call, value: float | str) -> None:
-        if isinstance(value, str) and value not in words:
-            raise ScpiError(-141, value)
-        number = words[value] if isinstance(value, str) else value
-        clamped = min(max(number, limits.low), limits.high)
-        setattr(call.instrument.channel, name, float(round(clamped)) if is_whole else clamped)
+    def put(call: Call, value: float) -> None:
+        setattr(call.instrument.channel, name, float(round(value)) if is_whole else value)
         if reshapes:
             call.instrument.invalidate()
-        if clamped != number:
-            raise ScpiError(-222, f"{number:g}")
 
-    def query(call: Call, value: float | str = "") -> str:
-        if not isinstance(value, str):
-            raise ScpiError(-128)
-        return number_text(words[value] if value in words else getattr(call.instrument.channel, name))
-
-    return Command(pattern, write, query, (Numeric(units),), query_parameters=(Numeric(units),))
+    return _bounded(pattern, limits, units, -141, (put, lambda call: getattr(call.instrument.channel, name)))
 
 
 def channel_switch_row(pattern: str, name: str, *, reshapes: bool = False) -> Command:
@@ -384,7 +393,7 @@ def channel_switch_row(pattern: str, name: str, *, reshapes: bool = False) -> Co
         if reshapes:
             call.instrument.invalidate()
 
-    return Command(pattern, write, lambda call: str(int(getattr(call.instrument.channel, name))), (Boolean(),))
+    return switch(pattern, write, lambda call: getattr(call.instrument.channel, name))
 
 
 def channel_power_rows(

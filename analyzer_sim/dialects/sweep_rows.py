@@ -6,10 +6,10 @@ from types import MappingProxyType
 from typing import Final
 
 from analyzer_sim.dialects.dialect import Call, Command
-from analyzer_sim.dialects.settings_rows import ignored
+from analyzer_sim.dialects.settings_rows import ignored, switch
 from analyzer_sim.epochs import rfc3339
 from analyzer_sim.scpi.errors import ScpiError
-from analyzer_sim.scpi.parameters import PURE, Boolean, Choice, Numeric, Quoted
+from analyzer_sim.scpi.parameters import PURE, Choice, Numeric, Quoted
 from analyzer_sim.scpi.parser import short_form
 from analyzer_sim.scpi.status import REGISTER_MASK, StatusModel, StatusRegister
 
@@ -68,7 +68,7 @@ def detector_rows(pattern: str, auto: str, codes: Mapping[str, str]) -> tuple[Co
 
     return (
         Command(pattern, write, lambda call: word_of[call.instrument.settings.detector], (Choice(tuple(codes)),)),
-        Command(auto, write_auto, lambda call: str(int(call.instrument.settings.is_detector_auto)), (Boolean(),)),
+        switch(auto, write_auto, lambda call: call.instrument.settings.is_detector_auto),
     )
 
 
@@ -110,11 +110,10 @@ def average_state_row(pattern: str) -> Command:
         call.instrument.settings.is_averaging, call.instrument.settings.hold = is_on, ""
         call.instrument.invalidate()
 
-    def query(call: Call) -> str:
-        settings = call.instrument.settings
-        return str(int(settings.is_averaging and not settings.hold))
+    def is_averaging(call: Call) -> bool:
+        return call.instrument.settings.is_averaging and not call.instrument.settings.hold
 
-    return Command(pattern, write, query, (Boolean(),))
+    return switch(pattern, write, is_averaging)
 
 
 def unit_row(
@@ -155,9 +154,7 @@ def initiate_row(pattern: str) -> Command:
 
 def continuous_row(pattern: str) -> Command:
     """Return the row that sweeps without end."""
-    return Command(
-        pattern, _put_continuous, lambda call: str(int(call.instrument.settings.is_continuous)), (Boolean(),)
-    )
+    return switch(pattern, _put_continuous, lambda call: call.instrument.settings.is_continuous)
 
 
 def application_row(pattern: str, answer: str, names: frozenset[str]) -> Command:
@@ -240,36 +237,20 @@ _REGISTERS: tuple[tuple[str, Callable[[StatusModel], StatusRegister]], ...] = (
 def register_rows(pattern: str, register_of: Callable[[StatusModel], StatusRegister]) -> tuple[Command, ...]:
     """Return the rows of one SCPI status register."""
 
-    def put_enable(call: Call, value: float | str) -> None:
-        register_of(call.instrument.status).put_enable(_mask_value(value, 65535))
+    def mask_row(word: str, name: str) -> Command:
+        def put(call: Call, value: float | str) -> None:
+            setattr(register_of(call.instrument.status), name, _mask_value(value, 65535) & REGISTER_MASK)
 
-    def put_rising(call: Call, value: float | str) -> None:
-        register_of(call.instrument.status).rising = _mask_value(value, 65535) & REGISTER_MASK
+        def query(call: Call) -> str:
+            return str(getattr(register_of(call.instrument.status), name))
 
-    def put_falling(call: Call, value: float | str) -> None:
-        register_of(call.instrument.status).falling = _mask_value(value, 65535) & REGISTER_MASK
+        return Command(f"{pattern}:{word}", put, query, (_MASK,))
 
+    masks = {"ENABle": "enable", "PTRansition": "rising", "NTRansition": "falling"}
     return (
         Command(f"{pattern}[:EVENt]", query=lambda call: str(register_of(call.instrument.status).pop_event())),
         Command(f"{pattern}:CONDition", query=lambda call: str(register_of(call.instrument.status).condition)),
-        Command(
-            f"{pattern}:ENABle",
-            put_enable,
-            lambda call: str(register_of(call.instrument.status).enable),
-            (_MASK,),
-        ),
-        Command(
-            f"{pattern}:PTRansition",
-            put_rising,
-            lambda call: str(register_of(call.instrument.status).rising),
-            (_MASK,),
-        ),
-        Command(
-            f"{pattern}:NTRansition",
-            put_falling,
-            lambda call: str(register_of(call.instrument.status).falling),
-            (_MASK,),
-        ),
+        *(mask_row(word, name) for word, name in masks.items()),
     )
 
 
