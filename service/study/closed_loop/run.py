@@ -21,7 +21,7 @@ from service.records.levels.attitude import BoolArray, FloatArray
 from service.records.levels.measurement import Measurement
 from service.records.operations.release import UplinkProduct
 from service.study.closed_loop.centre import Centre
-from service.study.closed_loop.controllers import LEAD_MARGIN_S, LEAD_S, ByTruth, Controller, Idle, Sensing
+from service.study.closed_loop.controllers import LEAD_MARGIN_S, LEAD_S, ByTruth, Controller, Sensing
 from service.study.closed_loop.ground_knowledge import ground_of
 from service.study.closed_loop.plant_process import PlantProcess, PlantRow, SpacecraftTruth
 from service.study.estimation.flight.drive import UndrivenError, align, calibrate
@@ -136,7 +136,7 @@ def controller_of(
     is_ideal = unit.uplink == "ideal"
     spacecraft = flown_spacecraft(ground.spacecraft, Release.AUTOMATIC if is_ideal else Release.TWO_STEP)
     if unit.sensing is Sensing.OFF:
-        return Idle()
+        return Controller()
     if unit.sensing is Sensing.TRUTH:
         automatic = flown_spacecraft(ground.spacecraft, Release.AUTOMATIC)
         return ByTruth(automatic, 0.0 if is_ideal else lead_s, float(np.median(np.diff(ground.epochs_us))) / 1e6)

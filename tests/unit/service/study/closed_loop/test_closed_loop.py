@@ -48,7 +48,7 @@ from service.study.closed_loop.campaign import (
     verdict,
 )
 from service.study.closed_loop.centre import Centre
-from service.study.closed_loop.controllers import LEAD_S, ByTruth, Idle, Sensing, postponed
+from service.study.closed_loop.controllers import LEAD_S, ByTruth, Controller, Sensing, postponed
 from service.study.closed_loop.figures import draw_campaign
 from service.study.closed_loop.ground_knowledge import AXIS_RELATIVE_ERROR, RELATIVE_ERROR, ground_of
 from service.study.closed_loop.plant_process import CommandReport, PlantProcess, SpacecraftTruth
@@ -260,7 +260,7 @@ def replace_state(report, state):
 
 
 def test_nobody_sends_nothing():
-    assert Idle().decide(MEASUREMENT, truth(1.0)).schedule == ()
+    assert Controller().decide(MEASUREMENT, truth(1.0)).schedule == ()
 
 
 @pytest.mark.parametrize("roll_deg", [0.5, -0.5])
