@@ -56,7 +56,9 @@ from service.study.closed_loop.run import (
     COMMAND_PERIOD_S,
     LOOP_PERIOD_S,
     MEASURED_SCENARIO,
+    NARROW_DEG,
     UNKNOWN_TORQUE_SCENARIOS,
+    WIDE_DEG,
     FlownRun,
     LoopResult,
     LoopUnit,
@@ -413,7 +415,7 @@ def test_figures_of_a_run_are_those_of_its_rows():
 )
 def test_limits_are_those_that_were_asked(largest_deg, is_narrow, is_wide):
     merit = run_merit(settled_flight(largest_deg))
-    assert (merit.is_narrow, merit.is_wide) == (is_narrow, is_wide)
+    assert (merit.is_within(NARROW_DEG), merit.is_within(WIDE_DEG)) == (is_narrow, is_wide)
 
 
 def test_the_time_to_come_back_counts_from_the_end_of_the_fade():
