@@ -183,9 +183,9 @@ def _coupled_rows(pattern: str, name: str, units: Mapping[str, float]) -> tuple[
 _FREQUENCY_ROWS = (
     *rows.frequency_rows(f"{_SENSE}:FREQuency", "CENTer:STEP[:INCRement]"),
     rows.step_auto_row(f"{_SENSE}:FREQuency:CENTer:STEP:AUTO"),
-    rows.previous_span_row(f"{_SENSE}:FREQuency:SPAN:PREVious"),
+    rows.span_row(f"{_SENSE}:FREQuency:SPAN:PREVious", lambda settings: settings.previous_span_hz),
     rows.numeric(f"{_SENSE}:FREQuency:SPAN:BANDwidth[:RESolution]:RATio", "span_per_rbw"),
-    rows.zero_span_row(f"{_SENSE}:FREQuency:SPAN:ZERO"),
+    rows.span_row(f"{_SENSE}:FREQuency:SPAN:ZERO", lambda _settings: 0.0),
 )
 
 _BANDWIDTH_ROWS = (
@@ -236,20 +236,14 @@ _TRACE_ROWS = (
     rows.byte_order_row("FORMat:BORDer"),
     rows.trace_row("TRACe[:DATA]", TRACE_STYLE, TraceName(("TRACE",), 6)),
     Command("CALCulate:DATA<6>", query=rows.trace_reader(TRACE_STYLE, rows.pairs_shown, "DATA"), query_waits=True),
-    Command(
-        f"FETCh:{_SPECTRUM}", query=rows.trace_reader(TRACE_STYLE, rows.pairs_shown, "SANalyzer"), query_waits=True
-    ),
-    Command(
-        f"READ:{_SPECTRUM}",
-        query=rows.trace_reader(TRACE_STYLE, rows.pairs_shown, "SANalyzer"),
-        query_waits=True,
-        query_starts=rows.start_sweep,
-    ),
-    Command(
-        f"MEASure:{_SPECTRUM}",
-        query=rows.trace_reader(TRACE_STYLE, rows.pairs_shown, "SANalyzer"),
-        query_waits=True,
-        query_starts=_measure_spectrum,
+    *(
+        Command(
+            f"{verb}:{_SPECTRUM}",
+            query=rows.trace_reader(TRACE_STYLE, rows.pairs_shown, "SANalyzer"),
+            query_waits=True,
+            query_starts=starts,
+        )
+        for verb, starts in (("FETCh", None), ("READ", rows.start_sweep), ("MEASure", _measure_spectrum))
     ),
 )
 

@@ -65,13 +65,13 @@ def switch(pattern: str, write: Callable[[Call, bool], None], is_on: Callable[[C
     return Command(pattern, write, lambda call: str(int(is_on(call))), (Boolean(),))
 
 
-def boolean(pattern: str, attribute: str, freeze: Callable[[Settings], None] | None = None) -> Command:
-    """Return the row of a switch; ``freeze`` keeps the value in force when a coupling is switched off."""
+def boolean(pattern: str, attribute: str, frozen: tuple[str, str] | None = None) -> Command:
+    """Return the row of a switch; ``frozen``: what is chosen when a coupling is switched off, and what was in force."""
 
     def write(call: Call, value: bool) -> None:  # noqa: FBT001 - the one value of the command
         settings = call.instrument.settings
-        if freeze is not None and not value:
-            freeze(settings)
+        if frozen is not None and not value:
+            setattr(settings, frozen[0], getattr(settings, frozen[1]))
         setattr(settings, attribute, value)
         call.instrument.invalidate()
 
@@ -160,42 +160,22 @@ def ignored(pattern: str) -> Command:
     return Command(pattern, lambda _call: None, is_inert=True)
 
 
-def freeze_rbw(settings: Settings) -> None:
-    """Keep the resolution bandwidth in force when its coupling ends."""
-    settings.rbw_chosen_hz = settings.rbw_shown_hz
-
-
-def freeze_vbw(settings: Settings) -> None:
-    """Keep the video bandwidth in force when its coupling ends."""
-    settings.vbw_chosen_hz = settings.vbw_hz
-
-
-def freeze_time(settings: Settings) -> None:
-    """Keep the sweep time in force when its coupling ends."""
-    settings.time_chosen_s = settings.time_s
-
-
-def freeze_attenuation(settings: Settings) -> None:
-    """Keep the attenuation in force when its coupling ends."""
-    settings.attenuation_chosen_db = settings.attenuation_db
-
-
 def frequency_rows(head: str, step: str) -> tuple[Command, ...]:
     """Return the rows of centre and its step, span, ends and offset."""
     settings = {"CENTer": "center_hz", step: "step_hz", "SPAN": "span_hz", "STARt": "start_hz", "STOP": "stop_hz"}
     settings["OFFSet"] = "offset_hz"
     rows = (numeric(f"{head}:{word}", name, HERTZ) for word, name in settings.items())
-    return (*rows, full_span_row(f"{head}:SPAN:FULL"))
+    return (*rows, span_row(f"{head}:SPAN:FULL", lambda settings: settings.model.max_frequency_hz))
 
 
 def bandwidth_rows(head: str) -> tuple[Command, ...]:
     """Return the rows of the filters and their couplings."""
     return (
         numeric(f"{head}[:RESolution]", "rbw_hz", HERTZ),
-        boolean(f"{head}[:RESolution]:AUTO", "is_rbw_auto", freeze_rbw),
+        boolean(f"{head}[:RESolution]:AUTO", "is_rbw_auto", ("rbw_chosen_hz", "rbw_shown_hz")),
         numeric(f"{head}:VIDeo", "vbw_hz", HERTZ),
         numeric(f"{head}:VIDeo:RATio", "vbw_per_rbw"),
-        boolean(f"{head}:VIDeo:AUTO", "is_vbw_auto", freeze_vbw),
+        boolean(f"{head}:VIDeo:AUTO", "is_vbw_auto", ("vbw_chosen_hz", "vbw_hz")),
     )
 
 
@@ -203,7 +183,7 @@ def sweep_time_rows(head: str) -> tuple[Command, ...]:
     """Return the rows of the sweep time and its coupling."""
     return (
         numeric(f"{head}:TIME", "time_s", SECONDS),
-        boolean(f"{head}:TIME:AUTO", "is_time_auto", freeze_time),
+        boolean(f"{head}:TIME:AUTO", "is_time_auto", ("time_chosen_s", "time_s")),
     )
 
 
@@ -213,7 +193,7 @@ def level_rows(scale: str, attenuation: str, preamplifier: str) -> tuple[Command
         numeric(f"{scale}:RLEVel", "reference_dbm", parameter=Level()),
         numeric(f"{scale}:RLEVel:OFFSet", "level_offset_db", DECIBELS),
         numeric(attenuation, "attenuation_db", DECIBELS),
-        boolean(f"{attenuation}:AUTO", "is_attenuation_auto", freeze_attenuation),
+        boolean(f"{attenuation}:AUTO", "is_attenuation_auto", ("attenuation_chosen_db", "attenuation_db")),
         boolean(preamplifier, "is_preamplifier_on"),
     )
 
@@ -228,44 +208,14 @@ def step_auto_row(pattern: str) -> Command:
     return switch(pattern, write, lambda call: call.instrument.settings.step_chosen_hz is None)
 
 
-def full_span_row(pattern: str) -> Command:
-    """Return the row that sweeps the whole range."""
+def span_row(pattern: str, width: Callable[[Settings], float | None]) -> Command:
+    """Return the row of a command that sets the span to a width within its limits; None leaves it."""
 
     def write(call: Call) -> None:
-        store(call.instrument.settings, "span_hz", call.instrument.model.max_frequency_hz)
-        call.instrument.invalidate()
-
-    return Command(pattern, write)
-
-
-def zero_span_row(pattern: str) -> Command:
-    """Return the row that stands at the centre."""
-
-    def write(call: Call) -> None:
-        store(call.instrument.settings, "span_hz", 0.0)
-        call.instrument.invalidate()
-
-    return Command(pattern, write)
-
-
-def previous_span_row(pattern: str) -> Command:
-    """Return the row that goes back to the span before the last change of it."""
-
-    def write(call: Call) -> None:
-        settings = call.instrument.settings
-        if settings.previous_span_hz is not None:
-            store(settings, "span_hz", settings.previous_span_hz)
+        width_hz = width(call.instrument.settings)
+        if width_hz is not None:
+            store(call.instrument.settings, "span_hz", width_hz)
             call.instrument.invalidate()
-
-    return Command(pattern, write)
-
-
-def scaled_span_row(pattern: str, factor: float) -> Command:
-    """Return the row that makes the span ``factor`` times as wide, within its limits."""
-
-    def write(call: Call) -> None:
-        store(call.instrument.settings, "span_hz", factor * call.instrument.settings.span_hz)
-        call.instrument.invalidate()
 
     return Command(pattern, write)
 
