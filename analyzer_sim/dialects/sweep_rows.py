@@ -137,10 +137,6 @@ def unit_row(
     return Command(pattern, write, lambda call: call.instrument.settings.unit, (Choice(words),))
 
 
-def _initiate(call: Call) -> None:
-    call.instrument.initiate()
-
-
 def _put_continuous(call: Call, is_on: bool) -> None:  # noqa: FBT001 - the one value of the command
     if is_on:
         call.instrument.abort()
@@ -149,7 +145,7 @@ def _put_continuous(call: Call, is_on: bool) -> None:  # noqa: FBT001 - the one 
 
 def initiate_row(pattern: str) -> Command:
     """Return the row that starts a sweep."""
-    return Command(pattern, _initiate)
+    return Command(pattern, lambda call: call.instrument.initiate())
 
 
 def continuous_row(pattern: str) -> Command:
@@ -178,18 +174,6 @@ def _mask_value(value: float | str, limit: int) -> int:
     return round(value)
 
 
-def _clear(call: Call) -> None:
-    call.instrument.status.clear()
-
-
-def _reset(call: Call) -> None:
-    call.instrument.reset()
-
-
-def _preset(call: Call) -> None:
-    call.instrument.reset(is_preset=True)
-
-
 def _put_event_enable(call: Call, value: float | str) -> None:
     call.instrument.status.event_enable = _mask_value(value, 255)
 
@@ -198,33 +182,18 @@ def _put_service_enable(call: Call, value: float | str) -> None:
     call.instrument.status.service_enable = _mask_value(value, 255) & ~0x40
 
 
-def _complete(call: Call) -> None:
-    call.instrument.report_completion()
-
-
-def _abort(call: Call) -> None:
-    call.instrument.abort()
-
-
-def _wait(_call: Call) -> None:
-    """Nothing is left to do once the row's ``write_waits`` let the unit through."""
-
-
-def _status_byte(call: Call) -> str:
-    return str(call.instrument.status.status_byte(has_response=call.has_response))
-
-
 COMMON_COMMANDS: tuple[Command, ...] = (
-    Command("*CLS", _clear),
-    Command("*RST", _reset),
+    Command("*CLS", lambda call: call.instrument.status.clear()),
+    Command("*RST", lambda call: call.instrument.reset()),
     Command("*ESE", _put_event_enable, lambda call: str(call.instrument.status.event_enable), (_MASK,)),
     Command("*ESR", query=lambda call: str(call.instrument.status.pop_event())),
     Command("*SRE", _put_service_enable, lambda call: str(call.instrument.status.service_enable), (_MASK,)),
-    Command("*STB", query=_status_byte),
-    Command("*OPC", _complete, lambda _call: "1", query_waits=True),
-    Command("*WAI", _wait, write_waits=True),
+    Command("*STB", query=lambda call: str(call.instrument.status.status_byte(has_response=call.has_response))),
+    Command("*OPC", lambda call: call.instrument.report_completion(), lambda _call: "1", query_waits=True),
+    # nothing is left to do once the row has let the unit through
+    Command("*WAI", lambda _call: None, write_waits=True),
     Command("*TST", query=lambda _call: "0"),
-    Command("*TRG", _initiate),
+    Command("*TRG", lambda call: call.instrument.initiate()),
 )
 
 _REGISTERS: tuple[tuple[str, Callable[[StatusModel], StatusRegister]], ...] = (
@@ -254,20 +223,16 @@ def register_rows(pattern: str, register_of: Callable[[StatusModel], StatusRegis
     )
 
 
-def _preset_status(call: Call) -> None:
-    call.instrument.status.preset()
-
-
 SYSTEM_COMMANDS: tuple[Command, ...] = (
     *(row for pattern, register_of in _REGISTERS for row in register_rows(pattern, register_of)),
-    Command("STATus:PRESet", _preset_status),
+    Command("STATus:PRESet", lambda call: call.instrument.status.preset()),
     Command("SYSTem:ERRor[:NEXT]", query=lambda call: call.instrument.status.pop_error()),
     Command("SYSTem:ERRor:ALL", query=lambda call: call.instrument.status.pop_all_errors()),
     Command("SYSTem:ERRor:CLEar[:ALL]", lambda call: call.instrument.status.errors.clear()),
     Command("SYSTem:ERRor:COUNt", query=lambda call: str(call.instrument.status.error_count)),
     Command("SYSTem:VERSion", query=lambda _call: "1999.0"),
-    Command("SYSTem:PRESet", _preset),
-    Command("ABORt", _abort),
+    Command("SYSTem:PRESet", lambda call: call.instrument.reset(is_preset=True)),
+    Command("ABORt", lambda call: call.instrument.abort()),
 )
 
 
