@@ -1,5 +1,6 @@
 """Benchmarks: ratios of two things measured in turn."""
 
+import argparse
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +15,15 @@ from service.records.levels.measurement import MeasurementBatch
 # what tests share imports its neighbours by name, as pytest's pythonpath lets it
 FAKES = Path(__file__).resolve().parent.parent / "tests" / "fakes"
 sys.path.extend(str(FAKES / room) for room in ("worlds", "drivers", "ports"))
+
+
+def options_of(description: str | None, **defaults: float) -> argparse.Namespace:
+    """Return the numbers that a benchmark is run with: those of the command line, else the defaults."""
+    parser = argparse.ArgumentParser(description=description)
+    for name, default in defaults.items():
+        parser.add_argument(f"--{name}", type=type(default), default=default)
+    options, _ = parser.parse_known_args()
+    return options
 
 
 def prepare(storage: SqlStorage, payload: Any, name: str, alignment: Alignment) -> None:

@@ -5,7 +5,6 @@ Run ``python -m bench.bench_replay``. An archive of some days of rows a minute i
 beside the rest: reading, encoding, storing and checkpoints. Ratios to the yardstick of `bench_chain`.
 """
 
-import argparse
 import secrets
 import sys
 import tempfile
@@ -16,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench import plain_batch, prepare
+from bench import options_of, plain_batch, prepare
 from bench.bench_chain import chain_time, yardstick_s
 from db.storage import SqlStorage
 from service.pipeline.config import ChainConfig
@@ -43,9 +42,7 @@ class ReplayTimes(NamedTuple):
 
 def main() -> bool:
     """Print the figures and return whether the goal is met."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--days", type=float, default=14.0)
-    options, _ = parser.parse_known_args()
+    options = options_of(__doc__, days=14.0)
     with tempfile.TemporaryDirectory(dir=Path.cwd(), prefix="bench-") as name:
         found = measure(Path(name) / "replay.db", round(options.days * 1440.0))
     whole, chain = found.whole_s / found.yardstick_s, found.chain_s / found.yardstick_s

@@ -7,7 +7,6 @@ second has 200 clients in a process of their own and tells the share of events t
 machine stands beside the figures: they are only as good as it was idle.
 """
 
-import argparse
 import asyncio
 import json
 import os
@@ -23,7 +22,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench import prepare
+from bench import options_of, prepare
 from bench.load.server_process import served
 from db.storage import SqlStorage
 from service.client.async_service_client import AsyncServiceClient
@@ -54,10 +53,7 @@ class StreamTimes(NamedTuple):
 
 def main() -> bool:
     """Print the figures and return whether the goals are met."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=10.0)
-    parser.add_argument("--clients", type=int, default=200)
-    options, _ = parser.parse_known_args()
+    options = options_of(__doc__, seconds=10.0, clients=200)
     load = os.getloadavg()[0]
     figures = measure(options.seconds, options.clients)
     print(

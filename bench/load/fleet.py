@@ -6,7 +6,6 @@ are measured in turn, each on a database of its own. The server and this program
 the ratio says what is left for estimators, and the processor time of a row says what sharing costs.
 """
 
-import argparse
 import os
 import statistics
 import sys
@@ -17,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench import plain_batch, prepare
+from bench import options_of, plain_batch, prepare
 from bench.load.server_process import ServedProcess, running
 from db.storage import SqlStorage
 from tests.fakes.drivers.postgresql_cluster import NoServerError, PostgresqlCluster
@@ -36,11 +35,7 @@ class Run(NamedTuple):
 
 def main() -> bool:
     """Print the ratio and return whether the goal is met."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--spacecraft", type=int, default=40)
-    parser.add_argument("--rows", type=int, default=100)
-    parser.add_argument("--repeats", type=int, default=3)
-    options, _ = parser.parse_known_args()
+    options = options_of(__doc__, spacecraft=40, rows=100, repeats=3)
     try:
         cluster = PostgresqlCluster(fsync=True)
     except NoServerError as fault:

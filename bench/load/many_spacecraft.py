@@ -6,7 +6,6 @@ clock, and the time counts until each has its results: what is kept up with is l
 falls behind. Beside it stands the processor time of a row, and the chain's own part of that.
 """
 
-import argparse
 import asyncio
 import os
 import sys
@@ -17,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench import plain_batch, prepare
+from bench import options_of, plain_batch, prepare
 from bench.bench_chain import chain_time
 from db.storage import SqlStorage
 from service.api.context import ApiContext
@@ -38,10 +37,7 @@ GOAL_ROWS_PER_S, GOAL_LAG_S = 1500.0, 3.0
 
 def main() -> bool:
     """Print what is kept up with; return whether the goals are met."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--spacecraft", type=int, default=200)
-    parser.add_argument("--seconds", type=int, default=10)
-    options, _ = parser.parse_known_args()
+    options = options_of(__doc__, spacecraft=200, seconds=10)
     with tempfile.TemporaryDirectory() as folder:
         return asyncio.run(_measured(Path(folder), options.spacecraft, options.seconds))
 
