@@ -217,7 +217,7 @@ def build_parser() -> argparse.ArgumentParser:
             "--sweep-noise", type=float, default=1.0, help="scale of the sweep's own noise (default: 1)"
         )
     scenarios = commands.add_parser("scenarios", help="list the stories that can be told")
-    scenarios.add_argument("--markdown", action="store_true", help="as the page of the reference")
+    scenarios.add_argument("--markdown", action="store_true", help="as the tables of docs/evidence/scenarios.md")
     return parser
 
 
@@ -268,9 +268,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = build_parser()
     options = parser.parse_args(given)
     if options.command == "scenarios":
-        from analyzer_sim.world.scenario_table import markdown_page, plain_table
+        from analyzer_sim.world.scenario_table import markdown_tables, plain_table
 
-        sys.stdout.write(markdown_page() if options.markdown else plain_table())
+        sys.stdout.write(markdown_tables() if options.markdown else plain_table())
         return 0
     if options.command == "export":
         from analyzer_sim.export import run_export

@@ -1,15 +1,41 @@
 """Benchmarks: ratios of two things measured in turn."""
 
+import argparse
 import sys
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from db.storage import SqlStorage
+from service.records.calibration import Alignment
 from service.records.levels.measurement import MeasurementBatch
 
 # what tests share imports its neighbours by name, as pytest's pythonpath lets it
 FAKES = Path(__file__).resolve().parent.parent / "tests" / "fakes"
 sys.path.extend(str(FAKES / room) for room in ("worlds", "drivers", "ports"))
+
+
+def options_of(description: str | None, **defaults: float) -> argparse.Namespace:
+    """Return the numbers that a benchmark is run with: those of the command line, else the defaults."""
+    parser = argparse.ArgumentParser(description=description)
+    for name, default in defaults.items():
+        parser.add_argument(f"--{name}", type=type(default), default=default)
+    options, _ = parser.parse_known_args()
+    return options
+
+
+def prepare(storage: SqlStorage, payload: Any, name: str, alignment: Alignment) -> None:
+    """Store a calibrated and aligned spacecraft."""
+    storage.catalogue.add_spacecraft(replace(payload.spacecraft(), id=name))
+    storage.catalogue.put_plan(name, payload.carriers(), "bench")
+    storage.catalogue.put_ephemeris(name, payload.ephemeris())
+    known = payload.calibration()
+    draft = storage.results.add_calibration(name, known.request, 1, 1, 0, "bench")
+    storage.results.finish_calibration(name, draft.id, known.result, None)
+    storage.results.activate_calibration(name, draft.id)
+    storage.results.add_alignment(name, replace(alignment, calibration_id=draft.id))
 
 
 def plain_batch(

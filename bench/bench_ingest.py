@@ -20,6 +20,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
+from bench import options_of
 from bench.load.http_load import Load, Rate, Shape
 from bench.load.server_process import served
 from service.client.service_client import ServiceClient
@@ -49,10 +50,7 @@ Rates = dict[str, list[Rate]]
 
 def main() -> bool:
     """Print the figures and return whether the goals are met."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--repeats", type=int, default=5)
-    parser.add_argument("--seconds", type=float, default=1.5)
-    options, _ = parser.parse_known_args()
+    options = options_of(__doc__, repeats=5, seconds=1.5)
     with tempfile.TemporaryDirectory(dir=Path.cwd(), prefix="bench-") as name:
 
         def new_file(kind: str) -> str:

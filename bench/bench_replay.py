@@ -5,26 +5,21 @@ Run ``python -m bench.bench_replay``. An archive of some days of rows a minute i
 beside the rest: reading, encoding, storing and checkpoints. Ratios to the yardstick of `bench_chain`.
 """
 
-import argparse
 import secrets
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
-from unittest.mock import patch
 
 import numpy as np
 
-from bench import plain_batch
-from bench.bench_chain import yardstick_s
+from bench import options_of, plain_batch, prepare
+from bench.bench_chain import chain_time, yardstick_s
 from db.storage import SqlStorage
-from service.pipeline.chain import Chain, ChainRow
 from service.pipeline.config import ChainConfig
 from service.records.catalogue import Method
-from service.records.levels.measurement import Measurement
 from service.records.operations.work import Job, JobState, Replay
 from service.records.storage import sqlite_url
 from service.runtime.jobs.job_runner import calm_collector
@@ -47,9 +42,7 @@ class ReplayTimes(NamedTuple):
 
 def main() -> bool:
     """Print the figures and return whether the goal is met."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--days", type=float, default=14.0)
-    options, _ = parser.parse_known_args()
+    options = options_of(__doc__, days=14.0)
     with tempfile.TemporaryDirectory(dir=Path.cwd(), prefix="bench-") as name:
         found = measure(Path(name) / "replay.db", round(options.days * 1440.0))
     whole, chain = found.whole_s / found.yardstick_s, found.chain_s / found.yardstick_s
@@ -78,14 +71,7 @@ def _fill(storage: SqlStorage, rows: int) -> None:
     """Lay down catalogue, calibration and alignment, and rows a minute after it."""
     payload, rng = FlightPayload.make(CARRIERS, 5), np.random.default_rng(1)
     storage.prepare()
-    storage.catalogue.add_spacecraft(payload.spacecraft())
-    storage.catalogue.put_plan(SC, payload.carriers(), "bench")
-    storage.catalogue.put_ephemeris(SC, payload.ephemeris())
-    fit = payload.calibration()
-    draft = storage.results.add_calibration(SC, fit.request, 1, 1, 0, "bench")
-    storage.results.finish_calibration(SC, draft.id, fit.result, None)
-    storage.results.activate_calibration(SC, draft.id)
-    storage.results.add_alignment(SC, payload.alignment(START_US + HOUR, angles_deg=(0.0, 0.0, 0.0)))
+    prepare(storage, payload, SC, payload.alignment(START_US + HOUR, angles_deg=(0.0, 0.0, 0.0)))
     for first in range(1, rows + 1, _BATCH_ROWS):
         number = np.arange(first, min(first + _BATCH_ROWS, rows + 1))
         epochs_us = START_US + HOUR + MINUTE * number
@@ -103,23 +89,14 @@ def _replay(storage: SqlStorage, config: ChainConfig, rows: int) -> tuple[float,
     stop_us = start_us + (rows + 1) * MINUTE
     wanted = Replay(0, start_us, stop_us, Method.ROBUST, None, 1, "journal", job.id, start_us, commands=False)
     replay = storage.results.add_replay(SC, wanted)
-    plain, spent_s = Chain.rows, 0.0
-
-    def timed(chain: Chain, measurements: Sequence[Measurement], *, is_catch_up: bool = False) -> list[ChainRow]:
-        nonlocal spent_s
-        began_s = time.thread_time()
-        rows_out = plain(chain, measurements, is_catch_up=is_catch_up)
-        spent_s += time.thread_time() - began_s
-        return rows_out
-
-    with patch.object(Chain, "rows", timed):
+    with chain_time() as spent_s:
         began_s = time.process_time()
         for _ in ReplayRun(storage, config, SC, replay.version).pieces():
             pass
         taken_s = time.process_time() - began_s
     stored = storage.results.replay(SC, replay.version)
     assert (stored.attitude_rows, stored.torque_rows) == (rows, 0)
-    return taken_s, spent_s
+    return taken_s, spent_s[0]
 
 
 if __name__ == "__main__":

@@ -6,7 +6,6 @@ counts, for a start is work of one core and whatever else runs only adds to it. 
 ...`` is ``soo serve`` after some rows of the filter.
 """
 
-import argparse
 import os
 import secrets
 import sys
@@ -21,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench import plain_batch
+from bench import options_of, plain_batch
 from bench.load.server_process import ServedProcess, running
 from db.storage import SqlStorage
 from service.__main__ import main as serve
@@ -48,10 +47,7 @@ class Start(NamedTuple):
 
 def main() -> bool:
     """Print the figures and return whether the goals are met."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rows", type=int, default=500_000)
-    parser.add_argument("--repeats", type=int, default=3)
-    options, _ = parser.parse_known_args()
+    options = options_of(__doc__, rows=500_000, repeats=3)
     print(f"start and memory, load of the machine before {os.getloadavg()[0]:.1f} of {os.cpu_count()}")
     with tempfile.TemporaryDirectory(dir=Path.cwd(), prefix="bench-") as name:
         empty, full = Path(name) / "empty.db", Path(name) / "full.db"

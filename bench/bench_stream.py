@@ -7,7 +7,6 @@ second has 200 clients in a process of their own and tells the share of events t
 machine stands beside the figures: they are only as good as it was idle.
 """
 
-import argparse
 import asyncio
 import json
 import os
@@ -17,17 +16,16 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import replace
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from bench import options_of, prepare
 from bench.load.server_process import served
 from db.storage import SqlStorage
 from service.client.async_service_client import AsyncServiceClient
-from service.records.calibration import CalibrationState
 from service.records.epoch import format_epoch
 from service.records.storage import sqlite_url
 from tests.fakes.worlds.synthetic_payload import HOUR, MINUTE, SC, START_US, SyntheticPayload
@@ -55,10 +53,7 @@ class StreamTimes(NamedTuple):
 
 def main() -> bool:
     """Print the figures and return whether the goals are met."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=10.0)
-    parser.add_argument("--clients", type=int, default=200)
-    options, _ = parser.parse_known_args()
+    options = options_of(__doc__, seconds=10.0, clients=200)
     load = os.getloadavg()[0]
     figures = measure(options.seconds, options.clients)
     print(
@@ -106,19 +101,9 @@ def measure(seconds: float, clients: int) -> StreamTimes:
 
 def _prepare(database: Path, payload: SyntheticPayload) -> None:
     """Make an archive with a calibrated and aligned spacecraft."""
-    storage = SqlStorage(sqlite_url(str(database)))
-    storage.prepare()
-    storage.catalogue.add_spacecraft(payload.spacecraft())
-    storage.catalogue.put_plan(SC, payload.carriers(), "bench")
-    storage.catalogue.put_ephemeris(SC, payload.ephemeris())
-    known = payload.calibration()
-    draft = storage.results.add_calibration(SC, known.request, 1, 1, START_US, "bench")
-    storage.results.finish_calibration(SC, draft.id, known.result, None)
-    active = storage.results.activate_calibration(SC, draft.id)
-    assert active.state is CalibrationState.ACTIVE
-    alignment = replace(payload.alignment(START_US + HOUR), calibration_id=draft.id)
-    storage.results.add_alignment(SC, alignment)
-    storage.close()
+    with closing(SqlStorage(sqlite_url(str(database)))) as storage:
+        storage.prepare()
+        prepare(storage, payload, SC, payload.alignment(START_US + HOUR))
 
 
 def _row(payload: SyntheticPayload, number: int) -> dict[str, Any]:

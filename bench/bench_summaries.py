@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import httpx
 import numpy as np
 
+from bench import options_of
 from bench.bench_storage import batch, outcome_of, prepare_catalogue
 from db.encoding.segments import DAY_US
 from db.storage import SqlStorage
@@ -80,10 +81,7 @@ class Tally(NamedTuple):
 
 def main() -> bool:
     """Print the ratios and return whether the goals are met."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rows", type=int, default=200_000)
-    parser.add_argument("--repeats", type=int, default=5)
-    options, _ = parser.parse_known_args()
+    options = options_of(__doc__, rows=200_000, repeats=5)
     with tempfile.TemporaryDirectory(dir=Path.cwd(), prefix="bench-") as name:
         tally = measure(Path(name), options.rows, options.repeats)
     named = [(f"{key}, {options.rows} rows / a tenth", ratio, GOALS[key]) for key, ratio in tally.ratios.items()]

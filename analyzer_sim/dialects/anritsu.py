@@ -137,7 +137,7 @@ _CHANNEL_WIDTH_ROW = replace(
 
 _FREQUENCY_ROWS = (
     *rows.frequency_rows(f"{_SENSE}:FREQuency", "STEP[:INCRement]"),
-    rows.previous_span_row(f"{_SENSE}:FREQuency:SPAN:LAST|PREVious"),
+    rows.span_row(f"{_SENSE}:FREQuency:SPAN:LAST|PREVious", lambda settings: settings.previous_span_hz),
 )
 
 _BANDWIDTH_ROWS = (

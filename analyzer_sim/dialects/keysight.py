@@ -25,7 +25,7 @@ from analyzer_sim.instrument.instrument_settings import N9020B, Settings, reset_
 from analyzer_sim.instrument.levels import ascii_list
 from analyzer_sim.instrument.quantities import load, shown_limits, store
 from analyzer_sim.scpi.errors import ScpiError
-from analyzer_sim.scpi.parameters import DECIBELS, HERTZ, PURE, SECONDS, Boolean, Choice, Numeric, TraceName
+from analyzer_sim.scpi.parameters import DECIBELS, HERTZ, PURE, SECONDS, Choice, Numeric, TraceName
 
 IDENTITY = "Keysight Technologies,N9020B,MY57430101,A.30.05"
 _OPTIONS = '"526,B25,EA3,P26"'
@@ -74,20 +74,11 @@ def _put_sweep_type_auto(call: Call, is_auto: bool) -> None:  # noqa: FBT001 - t
     _put_sweep_type(call, "AUTO" if is_auto else _sweep_type(call))
 
 
-def _sweep_type_auto(call: Call) -> str:
-    return str(int(call.instrument.settings.sweep_type == "AUTO"))
-
-
 def _put_average_type_auto(call: Call, is_auto: bool) -> None:  # noqa: FBT001 - the one value of the command
     settings = call.instrument.settings
     if is_auto:
         settings.average_type = settings.model.average_type
         call.instrument.invalidate()
-
-
-def _average_type_auto(call: Call) -> str:
-    settings = call.instrument.settings
-    return str(int(settings.average_type == settings.model.average_type))
 
 
 def _keep_spectrum(call: Call) -> None:
@@ -183,21 +174,18 @@ def _coupled_rows(pattern: str, name: str, units: Mapping[str, float]) -> tuple[
         setattr(call.instrument.channel, name, None if is_auto else load(_channel_sweep(call), name))
         call.instrument.invalidate()
 
-    def query_auto(call: Call) -> str:
-        return str(int(getattr(call.instrument.channel, name) is None))
-
     return (
         Command(pattern, write, lambda call: rows.number_text(load(_channel_sweep(call), name)), (Numeric(units),)),
-        Command(f"{pattern}:AUTO", write_auto, query_auto, (Boolean(),)),
+        rows.switch(f"{pattern}:AUTO", write_auto, lambda call: getattr(call.instrument.channel, name) is None),
     )
 
 
 _FREQUENCY_ROWS = (
     *rows.frequency_rows(f"{_SENSE}:FREQuency", "CENTer:STEP[:INCRement]"),
     rows.step_auto_row(f"{_SENSE}:FREQuency:CENTer:STEP:AUTO"),
-    rows.previous_span_row(f"{_SENSE}:FREQuency:SPAN:PREVious"),
+    rows.span_row(f"{_SENSE}:FREQuency:SPAN:PREVious", lambda settings: settings.previous_span_hz),
     rows.numeric(f"{_SENSE}:FREQuency:SPAN:BANDwidth[:RESolution]:RATio", "span_per_rbw"),
-    rows.zero_span_row(f"{_SENSE}:FREQuency:SPAN:ZERO"),
+    rows.span_row(f"{_SENSE}:FREQuency:SPAN:ZERO", lambda _settings: 0.0),
 )
 
 _BANDWIDTH_ROWS = (
@@ -211,13 +199,19 @@ _SWEEP_ROWS = (
     *rows.sweep_time_rows(f"{_SENSE}:SWEep"),
     rows.inert(f"{_SENSE}:SWEep:TIME:AUTO:RULes", "NORM", ("NORMal", "ACCuracy", "SRESponse")),
     Command(f"{_SENSE}:SWEep:TYPE", _put_sweep_type, _sweep_type, (Choice(("SWEep", "FFT", "AUTO")),)),
-    Command(f"{_SENSE}:SWEep:TYPE:AUTO", _put_sweep_type_auto, _sweep_type_auto, (Boolean(),)),
+    rows.switch(
+        f"{_SENSE}:SWEep:TYPE:AUTO", _put_sweep_type_auto, lambda call: call.instrument.settings.sweep_type == "AUTO"
+    ),
     *sweeps.detector_rows(f"{_SENSE}:DETector:TRACe<6>", f"{_SENSE}:DETector:TRACe<6>:AUTO", _DETECTORS),
     *sweeps.detector_rows(f"{_SENSE}:DETector[:FUNCtion]", f"{_SENSE}:DETector:AUTO", _DETECTORS),
     sweeps.average_state_row(f"{_SENSE}:AVERage[:STATe]"),
     rows.numeric(f"{_SENSE}:AVERage:COUNt", "average_count"),
     sweeps.average_type_row(f"{_SENSE}:AVERage:TYPE", _AVERAGE_TYPES, does_detector_follow=True),
-    Command(f"{_SENSE}:AVERage:TYPE:AUTO", _put_average_type_auto, _average_type_auto, (Boolean(),)),
+    rows.switch(
+        f"{_SENSE}:AVERage:TYPE:AUTO",
+        _put_average_type_auto,
+        lambda call: call.instrument.settings.average_type == N9020B.average_type,
+    ),
     sweeps.trace_mode_row("TRACe<6>:TYPE", "WRITe"),
     sweeps.initiate_row("INITiate[:IMMediate]"),
     sweeps.continuous_row("INITiate:CONTinuous"),
@@ -242,20 +236,14 @@ _TRACE_ROWS = (
     rows.byte_order_row("FORMat:BORDer"),
     rows.trace_row("TRACe[:DATA]", TRACE_STYLE, TraceName(("TRACE",), 6)),
     Command("CALCulate:DATA<6>", query=rows.trace_reader(TRACE_STYLE, rows.pairs_shown, "DATA"), query_waits=True),
-    Command(
-        f"FETCh:{_SPECTRUM}", query=rows.trace_reader(TRACE_STYLE, rows.pairs_shown, "SANalyzer"), query_waits=True
-    ),
-    Command(
-        f"READ:{_SPECTRUM}",
-        query=rows.trace_reader(TRACE_STYLE, rows.pairs_shown, "SANalyzer"),
-        query_waits=True,
-        query_starts=rows.start_sweep,
-    ),
-    Command(
-        f"MEASure:{_SPECTRUM}",
-        query=rows.trace_reader(TRACE_STYLE, rows.pairs_shown, "SANalyzer"),
-        query_waits=True,
-        query_starts=_measure_spectrum,
+    *(
+        Command(
+            f"{verb}:{_SPECTRUM}",
+            query=rows.trace_reader(TRACE_STYLE, rows.pairs_shown, "SANalyzer"),
+            query_waits=True,
+            query_starts=starts,
+        )
+        for verb, starts in (("FETCh", None), ("READ", rows.start_sweep), ("MEASure", _measure_spectrum))
     ),
 )
 

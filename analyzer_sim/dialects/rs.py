@@ -6,7 +6,7 @@ from analyzer_sim.dialects.dialect import Call, Command, Dialect, TraceFormat, T
 from analyzer_sim.instrument.instrument_settings import FSW_26
 from analyzer_sim.instrument.quantities import QUANTITIES
 from analyzer_sim.scpi.errors import ScpiError
-from analyzer_sim.scpi.parameters import DECIBELS, Boolean, Choice, TraceName
+from analyzer_sim.scpi.parameters import DECIBELS, Choice, TraceName
 
 IDENTITY = "Rohde&Schwarz,FSW-26,1312.8000K26/100001,5.30"
 _DETECTORS = {
@@ -117,7 +117,7 @@ _CHANNEL_POWER_ROWS = (
         lambda call: "CPOW" if call.instrument.channel.is_selected else "OFF",
         _POWER_MEASUREMENTS,
     ),
-    Command(f"{_POWER}[:STATe]", _deselect, lambda call: str(int(call.instrument.channel.is_selected)), (Boolean(),)),
+    rows.switch(f"{_POWER}[:STATe]", _deselect, lambda call: call.instrument.channel.is_selected),
     Command(
         f"{_POWER}:RESult",
         query=_channel_result,

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -59,20 +60,22 @@ def numeric(
     return Command(pattern, write, query, (kind,), query_parameters=(kind,))
 
 
-def boolean(pattern: str, attribute: str, freeze: Callable[[Settings], None] | None = None) -> Command:
-    """Return the row of a switch; ``freeze`` keeps the value in force when a coupling is switched off."""
+def switch(pattern: str, write: Callable[[Call, bool], None], is_on: Callable[[Call], bool]) -> Command:
+    """Return the row of a switch, which is answered as 1 or 0."""
+    return Command(pattern, write, lambda call: str(int(is_on(call))), (Boolean(),))
+
+
+def boolean(pattern: str, attribute: str, frozen: tuple[str, str] | None = None) -> Command:
+    """Return the row of a switch; ``frozen``: what is chosen when a coupling is switched off, and what was in force."""
 
     def write(call: Call, value: bool) -> None:  # noqa: FBT001 - the one value of the command
         settings = call.instrument.settings
-        if freeze is not None and not value:
-            freeze(settings)
+        if frozen is not None and not value:
+            setattr(settings, frozen[0], getattr(settings, frozen[1]))
         setattr(settings, attribute, value)
         call.instrument.invalidate()
 
-    def query(call: Call) -> str:
-        return str(int(getattr(call.instrument.settings, attribute)))
-
-    return Command(pattern, write, query, (Boolean(),))
+    return switch(pattern, write, lambda call: getattr(call.instrument.settings, attribute))
 
 
 def choice(pattern: str, attribute: str, words: tuple[str, ...], *, is_display: bool = False) -> Command:
@@ -106,27 +109,45 @@ def inert(pattern: str, default: str, words: tuple[str, ...] = ()) -> Command:
 
 def inert_number(pattern: str, default: float, low: float, high: float, units: Mapping[str, float] = PURE) -> Command:
     """Return the row of a number that is remembered and answered but changes nothing."""
-    words = {"MIN": low, "MAX": high, "DEF": default}
+
+    def put(call: Call, value: float) -> None:
+        call.instrument.settings.inert[pattern] = number_text(value)
+
+    def read(call: Call) -> float:
+        return float(call.instrument.settings.inert.get(pattern, default))
+
+    return replace(_bounded(pattern, Limits(low, high, default), units, -224, (put, read)), is_inert=True)
+
+
+def _bounded(
+    pattern: str,
+    limits: Limits,
+    units: Mapping[str, float],
+    unknown: int,
+    access: tuple[Callable[[Call, float], None], Callable[[Call], float]],
+) -> Command:
+    """Return the row of a number within limits, with its MIN MAX DEF; `unknown` is the error of another word."""
+    words = {"MIN": limits.low, "MAX": limits.high, "DEF": limits.default}
+    put, read = access
 
     def wanted(value: float | str) -> float:
         if isinstance(value, str) and value not in words:
-            raise ScpiError(-224, value)
+            raise ScpiError(unknown, value)
         return words[value] if isinstance(value, str) else value
 
     def write(call: Call, value: float | str) -> None:
-        clamped = min(max(wanted(value), low), high)
-        call.instrument.settings.inert[pattern] = number_text(clamped)
-        if clamped != wanted(value):
-            raise ScpiError(-222, f"{value:g}")
+        number = wanted(value)
+        clamped = min(max(number, limits.low), limits.high)
+        put(call, clamped)
+        if clamped != number:
+            raise ScpiError(-222, f"{number:g}")
 
     def query(call: Call, value: float | str = "") -> str:
         if not isinstance(value, str):
             raise ScpiError(-128)
-        if value:
-            return number_text(wanted(value))
-        return call.instrument.settings.inert.get(pattern, number_text(default))
+        return number_text(wanted(value) if value else read(call))
 
-    return Command(pattern, write, query, (Numeric(units),), query_parameters=(Numeric(units),), is_inert=True)
+    return Command(pattern, write, query, (Numeric(units),), query_parameters=(Numeric(units),))
 
 
 def constant(pattern: str, answer: str) -> Command:
@@ -139,42 +160,22 @@ def ignored(pattern: str) -> Command:
     return Command(pattern, lambda _call: None, is_inert=True)
 
 
-def freeze_rbw(settings: Settings) -> None:
-    """Keep the resolution bandwidth in force when its coupling ends."""
-    settings.rbw_chosen_hz = settings.rbw_shown_hz
-
-
-def freeze_vbw(settings: Settings) -> None:
-    """Keep the video bandwidth in force when its coupling ends."""
-    settings.vbw_chosen_hz = settings.vbw_hz
-
-
-def freeze_time(settings: Settings) -> None:
-    """Keep the sweep time in force when its coupling ends."""
-    settings.time_chosen_s = settings.time_s
-
-
-def freeze_attenuation(settings: Settings) -> None:
-    """Keep the attenuation in force when its coupling ends."""
-    settings.attenuation_chosen_db = settings.attenuation_db
-
-
 def frequency_rows(head: str, step: str) -> tuple[Command, ...]:
     """Return the rows of centre and its step, span, ends and offset."""
     settings = {"CENTer": "center_hz", step: "step_hz", "SPAN": "span_hz", "STARt": "start_hz", "STOP": "stop_hz"}
     settings["OFFSet"] = "offset_hz"
     rows = (numeric(f"{head}:{word}", name, HERTZ) for word, name in settings.items())
-    return (*rows, full_span_row(f"{head}:SPAN:FULL"))
+    return (*rows, span_row(f"{head}:SPAN:FULL", lambda settings: settings.model.max_frequency_hz))
 
 
 def bandwidth_rows(head: str) -> tuple[Command, ...]:
     """Return the rows of the filters and their couplings."""
     return (
         numeric(f"{head}[:RESolution]", "rbw_hz", HERTZ),
-        boolean(f"{head}[:RESolution]:AUTO", "is_rbw_auto", freeze_rbw),
+        boolean(f"{head}[:RESolution]:AUTO", "is_rbw_auto", ("rbw_chosen_hz", "rbw_shown_hz")),
         numeric(f"{head}:VIDeo", "vbw_hz", HERTZ),
         numeric(f"{head}:VIDeo:RATio", "vbw_per_rbw"),
-        boolean(f"{head}:VIDeo:AUTO", "is_vbw_auto", freeze_vbw),
+        boolean(f"{head}:VIDeo:AUTO", "is_vbw_auto", ("vbw_chosen_hz", "vbw_hz")),
     )
 
 
@@ -182,7 +183,7 @@ def sweep_time_rows(head: str) -> tuple[Command, ...]:
     """Return the rows of the sweep time and its coupling."""
     return (
         numeric(f"{head}:TIME", "time_s", SECONDS),
-        boolean(f"{head}:TIME:AUTO", "is_time_auto", freeze_time),
+        boolean(f"{head}:TIME:AUTO", "is_time_auto", ("time_chosen_s", "time_s")),
     )
 
 
@@ -192,7 +193,7 @@ def level_rows(scale: str, attenuation: str, preamplifier: str) -> tuple[Command
         numeric(f"{scale}:RLEVel", "reference_dbm", parameter=Level()),
         numeric(f"{scale}:RLEVel:OFFSet", "level_offset_db", DECIBELS),
         numeric(attenuation, "attenuation_db", DECIBELS),
-        boolean(f"{attenuation}:AUTO", "is_attenuation_auto", freeze_attenuation),
+        boolean(f"{attenuation}:AUTO", "is_attenuation_auto", ("attenuation_chosen_db", "attenuation_db")),
         boolean(preamplifier, "is_preamplifier_on"),
     )
 
@@ -204,47 +205,17 @@ def step_auto_row(pattern: str) -> Command:
         settings = call.instrument.settings
         settings.step_chosen_hz = None if is_auto else settings.step_hz
 
-    return Command(pattern, write, lambda call: str(int(call.instrument.settings.step_chosen_hz is None)), (Boolean(),))
+    return switch(pattern, write, lambda call: call.instrument.settings.step_chosen_hz is None)
 
 
-def full_span_row(pattern: str) -> Command:
-    """Return the row that sweeps the whole range."""
-
-    def write(call: Call) -> None:
-        store(call.instrument.settings, "span_hz", call.instrument.model.max_frequency_hz)
-        call.instrument.invalidate()
-
-    return Command(pattern, write)
-
-
-def zero_span_row(pattern: str) -> Command:
-    """Return the row that stands at the centre."""
+def span_row(pattern: str, width: Callable[[Settings], float | None]) -> Command:
+    """Return the row of a command that sets the span to a width within its limits; None leaves it."""
 
     def write(call: Call) -> None:
-        store(call.instrument.settings, "span_hz", 0.0)
-        call.instrument.invalidate()
-
-    return Command(pattern, write)
-
-
-def previous_span_row(pattern: str) -> Command:
-    """Return the row that goes back to the span before the last change of it."""
-
-    def write(call: Call) -> None:
-        settings = call.instrument.settings
-        if settings.previous_span_hz is not None:
-            store(settings, "span_hz", settings.previous_span_hz)
+        width_hz = width(call.instrument.settings)
+        if width_hz is not None:
+            store(call.instrument.settings, "span_hz", width_hz)
             call.instrument.invalidate()
-
-    return Command(pattern, write)
-
-
-def scaled_span_row(pattern: str, factor: float) -> Command:
-    """Return the row that makes the span ``factor`` times as wide, within its limits."""
-
-    def write(call: Call) -> None:
-        store(call.instrument.settings, "span_hz", factor * call.instrument.settings.span_hz)
-        call.instrument.invalidate()
 
     return Command(pattern, write)
 
@@ -355,25 +326,13 @@ def channel_row(
     is_whole: bool = False,
 ) -> Command:
     """Return the row of a number of ``ChannelSettings`` with its MIN MAX DEF; ``reshapes`` makes the trace stale."""
-    words = {"MIN": limits.low, "MAX": limits.high, "DEF": limits.default}
 
-    def write(call: Call, value: float | str) -> None:
-        if isinstance(value, str) and value not in words:
-            raise ScpiError(-141, value)
-        number = words[value] if isinstance(value, str) else value
-        clamped = min(max(number, limits.low), limits.high)
-        setattr(call.instrument.channel, name, float(round(clamped)) if is_whole else clamped)
+    def put(call: Call, value: float) -> None:
+        setattr(call.instrument.channel, name, float(round(value)) if is_whole else value)
         if reshapes:
             call.instrument.invalidate()
-        if clamped != number:
-            raise ScpiError(-222, f"{number:g}")
 
-    def query(call: Call, value: float | str = "") -> str:
-        if not isinstance(value, str):
-            raise ScpiError(-128)
-        return number_text(words[value] if value in words else getattr(call.instrument.channel, name))
-
-    return Command(pattern, write, query, (Numeric(units),), query_parameters=(Numeric(units),))
+    return _bounded(pattern, limits, units, -141, (put, lambda call: getattr(call.instrument.channel, name)))
 
 
 def channel_switch_row(pattern: str, name: str, *, reshapes: bool = False) -> Command:
@@ -384,7 +343,7 @@ def channel_switch_row(pattern: str, name: str, *, reshapes: bool = False) -> Co
         if reshapes:
             call.instrument.invalidate()
 
-    return Command(pattern, write, lambda call: str(int(getattr(call.instrument.channel, name))), (Boolean(),))
+    return switch(pattern, write, lambda call: getattr(call.instrument.channel, name))
 
 
 def channel_power_rows(

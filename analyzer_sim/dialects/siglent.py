@@ -68,10 +68,10 @@ def _select_measurement(call: Call, name: str) -> None:
 _FREQUENCY_ROWS = (
     *rows.frequency_rows(f"{_SENSE}:FREQuency", "CENTer:STEP[:INCRement]"),
     rows.step_auto_row(f"{_SENSE}:FREQuency:CENTer:STEP:AUTO"),
-    rows.previous_span_row(f"{_SENSE}:FREQuency:SPAN:PREVious"),
-    rows.scaled_span_row(f"{_SENSE}:FREQuency:SPAN:HALF", 0.5),
-    rows.scaled_span_row(f"{_SENSE}:FREQuency:SPAN:DOUBle", 2.0),
-    rows.zero_span_row(f"{_SENSE}:FREQuency:SPAN:ZERO"),
+    rows.span_row(f"{_SENSE}:FREQuency:SPAN:PREVious", lambda settings: settings.previous_span_hz),
+    rows.span_row(f"{_SENSE}:FREQuency:SPAN:HALF", lambda settings: 0.5 * settings.span_hz),
+    rows.span_row(f"{_SENSE}:FREQuency:SPAN:DOUBle", lambda settings: 2.0 * settings.span_hz),
+    rows.span_row(f"{_SENSE}:FREQuency:SPAN:ZERO", lambda _settings: 0.0),
 )
 
 _BANDWIDTH_ROWS = (

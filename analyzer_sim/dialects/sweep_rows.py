@@ -6,10 +6,10 @@ from types import MappingProxyType
 from typing import Final
 
 from analyzer_sim.dialects.dialect import Call, Command
-from analyzer_sim.dialects.settings_rows import ignored
+from analyzer_sim.dialects.settings_rows import ignored, switch
 from analyzer_sim.epochs import rfc3339
 from analyzer_sim.scpi.errors import ScpiError
-from analyzer_sim.scpi.parameters import PURE, Boolean, Choice, Numeric, Quoted
+from analyzer_sim.scpi.parameters import PURE, Choice, Numeric, Quoted
 from analyzer_sim.scpi.parser import short_form
 from analyzer_sim.scpi.status import REGISTER_MASK, StatusModel, StatusRegister
 
@@ -68,7 +68,7 @@ def detector_rows(pattern: str, auto: str, codes: Mapping[str, str]) -> tuple[Co
 
     return (
         Command(pattern, write, lambda call: word_of[call.instrument.settings.detector], (Choice(tuple(codes)),)),
-        Command(auto, write_auto, lambda call: str(int(call.instrument.settings.is_detector_auto)), (Boolean(),)),
+        switch(auto, write_auto, lambda call: call.instrument.settings.is_detector_auto),
     )
 
 
@@ -110,11 +110,10 @@ def average_state_row(pattern: str) -> Command:
         call.instrument.settings.is_averaging, call.instrument.settings.hold = is_on, ""
         call.instrument.invalidate()
 
-    def query(call: Call) -> str:
-        settings = call.instrument.settings
-        return str(int(settings.is_averaging and not settings.hold))
+    def is_averaging(call: Call) -> bool:
+        return call.instrument.settings.is_averaging and not call.instrument.settings.hold
 
-    return Command(pattern, write, query, (Boolean(),))
+    return switch(pattern, write, is_averaging)
 
 
 def unit_row(
@@ -138,10 +137,6 @@ def unit_row(
     return Command(pattern, write, lambda call: call.instrument.settings.unit, (Choice(words),))
 
 
-def _initiate(call: Call) -> None:
-    call.instrument.initiate()
-
-
 def _put_continuous(call: Call, is_on: bool) -> None:  # noqa: FBT001 - the one value of the command
     if is_on:
         call.instrument.abort()
@@ -150,14 +145,12 @@ def _put_continuous(call: Call, is_on: bool) -> None:  # noqa: FBT001 - the one 
 
 def initiate_row(pattern: str) -> Command:
     """Return the row that starts a sweep."""
-    return Command(pattern, _initiate)
+    return Command(pattern, lambda call: call.instrument.initiate())
 
 
 def continuous_row(pattern: str) -> Command:
     """Return the row that sweeps without end."""
-    return Command(
-        pattern, _put_continuous, lambda call: str(int(call.instrument.settings.is_continuous)), (Boolean(),)
-    )
+    return switch(pattern, _put_continuous, lambda call: call.instrument.settings.is_continuous)
 
 
 def application_row(pattern: str, answer: str, names: frozenset[str]) -> Command:
@@ -181,18 +174,6 @@ def _mask_value(value: float | str, limit: int) -> int:
     return round(value)
 
 
-def _clear(call: Call) -> None:
-    call.instrument.status.clear()
-
-
-def _reset(call: Call) -> None:
-    call.instrument.reset()
-
-
-def _preset(call: Call) -> None:
-    call.instrument.reset(is_preset=True)
-
-
 def _put_event_enable(call: Call, value: float | str) -> None:
     call.instrument.status.event_enable = _mask_value(value, 255)
 
@@ -201,33 +182,18 @@ def _put_service_enable(call: Call, value: float | str) -> None:
     call.instrument.status.service_enable = _mask_value(value, 255) & ~0x40
 
 
-def _complete(call: Call) -> None:
-    call.instrument.report_completion()
-
-
-def _abort(call: Call) -> None:
-    call.instrument.abort()
-
-
-def _wait(_call: Call) -> None:
-    """Nothing is left to do once the row's ``write_waits`` let the unit through."""
-
-
-def _status_byte(call: Call) -> str:
-    return str(call.instrument.status.status_byte(has_response=call.has_response))
-
-
 COMMON_COMMANDS: tuple[Command, ...] = (
-    Command("*CLS", _clear),
-    Command("*RST", _reset),
+    Command("*CLS", lambda call: call.instrument.status.clear()),
+    Command("*RST", lambda call: call.instrument.reset()),
     Command("*ESE", _put_event_enable, lambda call: str(call.instrument.status.event_enable), (_MASK,)),
     Command("*ESR", query=lambda call: str(call.instrument.status.pop_event())),
     Command("*SRE", _put_service_enable, lambda call: str(call.instrument.status.service_enable), (_MASK,)),
-    Command("*STB", query=_status_byte),
-    Command("*OPC", _complete, lambda _call: "1", query_waits=True),
-    Command("*WAI", _wait, write_waits=True),
+    Command("*STB", query=lambda call: str(call.instrument.status.status_byte(has_response=call.has_response))),
+    Command("*OPC", lambda call: call.instrument.report_completion(), lambda _call: "1", query_waits=True),
+    # nothing is left to do once the row has let the unit through
+    Command("*WAI", lambda _call: None, write_waits=True),
     Command("*TST", query=lambda _call: "0"),
-    Command("*TRG", _initiate),
+    Command("*TRG", lambda call: call.instrument.initiate()),
 )
 
 _REGISTERS: tuple[tuple[str, Callable[[StatusModel], StatusRegister]], ...] = (
@@ -240,53 +206,33 @@ _REGISTERS: tuple[tuple[str, Callable[[StatusModel], StatusRegister]], ...] = (
 def register_rows(pattern: str, register_of: Callable[[StatusModel], StatusRegister]) -> tuple[Command, ...]:
     """Return the rows of one SCPI status register."""
 
-    def put_enable(call: Call, value: float | str) -> None:
-        register_of(call.instrument.status).put_enable(_mask_value(value, 65535))
+    def mask_row(word: str, name: str) -> Command:
+        def put(call: Call, value: float | str) -> None:
+            setattr(register_of(call.instrument.status), name, _mask_value(value, 65535) & REGISTER_MASK)
 
-    def put_rising(call: Call, value: float | str) -> None:
-        register_of(call.instrument.status).rising = _mask_value(value, 65535) & REGISTER_MASK
+        def query(call: Call) -> str:
+            return str(getattr(register_of(call.instrument.status), name))
 
-    def put_falling(call: Call, value: float | str) -> None:
-        register_of(call.instrument.status).falling = _mask_value(value, 65535) & REGISTER_MASK
+        return Command(f"{pattern}:{word}", put, query, (_MASK,))
 
+    masks = {"ENABle": "enable", "PTRansition": "rising", "NTRansition": "falling"}
     return (
         Command(f"{pattern}[:EVENt]", query=lambda call: str(register_of(call.instrument.status).pop_event())),
         Command(f"{pattern}:CONDition", query=lambda call: str(register_of(call.instrument.status).condition)),
-        Command(
-            f"{pattern}:ENABle",
-            put_enable,
-            lambda call: str(register_of(call.instrument.status).enable),
-            (_MASK,),
-        ),
-        Command(
-            f"{pattern}:PTRansition",
-            put_rising,
-            lambda call: str(register_of(call.instrument.status).rising),
-            (_MASK,),
-        ),
-        Command(
-            f"{pattern}:NTRansition",
-            put_falling,
-            lambda call: str(register_of(call.instrument.status).falling),
-            (_MASK,),
-        ),
+        *(mask_row(word, name) for word, name in masks.items()),
     )
-
-
-def _preset_status(call: Call) -> None:
-    call.instrument.status.preset()
 
 
 SYSTEM_COMMANDS: tuple[Command, ...] = (
     *(row for pattern, register_of in _REGISTERS for row in register_rows(pattern, register_of)),
-    Command("STATus:PRESet", _preset_status),
+    Command("STATus:PRESet", lambda call: call.instrument.status.preset()),
     Command("SYSTem:ERRor[:NEXT]", query=lambda call: call.instrument.status.pop_error()),
     Command("SYSTem:ERRor:ALL", query=lambda call: call.instrument.status.pop_all_errors()),
     Command("SYSTem:ERRor:CLEar[:ALL]", lambda call: call.instrument.status.errors.clear()),
     Command("SYSTem:ERRor:COUNt", query=lambda call: str(call.instrument.status.error_count)),
     Command("SYSTem:VERSion", query=lambda _call: "1999.0"),
-    Command("SYSTem:PRESet", _preset),
-    Command("ABORt", _abort),
+    Command("SYSTem:PRESet", lambda call: call.instrument.reset(is_preset=True)),
+    Command("ABORt", lambda call: call.instrument.abort()),
 )
 
 

@@ -37,28 +37,12 @@ def _store_span(settings: Settings, span_hz: float) -> None:
     _store_window(settings, center_hz, legal_hz)
 
 
-def _store_step(settings: Settings, step_hz: float) -> None:
-    settings.step_chosen_hz = step_hz
-
-
 def _store_rbw(settings: Settings, rbw_hz: float) -> None:
     settings.rbw_chosen_hz, settings.is_rbw_auto = settings.model.rbw.legal(rbw_hz), False
 
 
 def _store_vbw(settings: Settings, vbw_hz: float) -> None:
     settings.vbw_chosen_hz, settings.is_vbw_auto = settings.model.vbw.legal(vbw_hz), False
-
-
-def _store_rbw_per_span(settings: Settings, ratio: float) -> None:
-    settings.span_per_rbw = 1.0 / ratio
-
-
-def _store_span_per_rbw(settings: Settings, ratio: float) -> None:
-    settings.span_per_rbw = ratio
-
-
-def _store_vbw_per_rbw(settings: Settings, ratio: float) -> None:
-    settings.vbw_per_rbw = ratio
 
 
 def _store_time(settings: Settings, time_s: float) -> None:
@@ -68,46 +52,6 @@ def _store_time(settings: Settings, time_s: float) -> None:
 def _store_attenuation(settings: Settings, attenuation_db: float) -> None:
     step_db = settings.model.attenuation_step_db
     settings.attenuation_chosen_db, settings.is_attenuation_auto = step_db * round(attenuation_db / step_db), False
-
-
-def _store_points(settings: Settings, points: float) -> None:
-    settings.points = round(points)
-
-
-def _store_count(settings: Settings, count: float) -> None:
-    settings.count = round(count)
-
-
-def _store_average_count(settings: Settings, count: float) -> None:
-    settings.average_count = round(count)
-
-
-def _store_reference(settings: Settings, reference_dbm: float) -> None:
-    settings.reference_dbm = reference_dbm
-
-
-def _store_level_offset(settings: Settings, offset_db: float) -> None:
-    settings.level_offset_db = offset_db
-
-
-def _store_offset(settings: Settings, offset_hz: float) -> None:
-    settings.offset_hz = offset_hz
-
-
-def _nothing(_settings: Settings) -> float:
-    return 0.0
-
-
-def _frequency_offset(settings: Settings) -> float:
-    return settings.offset_hz
-
-
-def _level_offset(settings: Settings) -> float:
-    return settings.level_offset_db
-
-
-def _never(_settings: Settings) -> bool:
-    return False
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,14 +64,22 @@ class Quantity:
     #: change that UP (+1) and DOWN (-1) make
     step: Callable[[Settings, int], float]
     #: what is added where the setting is shown
-    shift: Callable[[Settings], float] = _nothing
+    shift: Callable[[Settings], float] = lambda _settings: 0.0
     #: the instrument accepts any value and keeps its own
-    is_ignored: Callable[[Settings], bool] = _never
+    is_ignored: Callable[[Settings], bool] = lambda _settings: False
 
 
 def _fixed(low: float, high: float, default: float) -> Callable[[Settings], Limits]:
     limits = Limits(low, high, default)
     return lambda _settings: limits
+
+
+def _put(attribute: str) -> Callable[[Settings, float], None]:
+    return lambda settings, value: setattr(settings, attribute, value)
+
+
+def _put_whole(attribute: str) -> Callable[[Settings, float], None]:
+    return lambda settings, value: setattr(settings, attribute, round(value))
 
 
 def _by(step: float) -> Callable[[Settings, int], float]:
@@ -169,13 +121,13 @@ QUANTITIES: dict[str, Quantity] = {
         lambda s: s.center_hz,
         lambda s, value: _store_window(s, value, s.span_hz),
         lambda s, direction: direction * s.step_hz,
-        shift=_frequency_offset,
+        shift=lambda s: s.offset_hz,
     ),
     "span_hz": Quantity(_span_limits, lambda s: s.span_hz, _store_span, _by_half("span_hz")),
-    "step_hz": Quantity(_step_limits, lambda s: s.step_hz, _store_step, _by_half("step_hz")),
-    "start_hz": Quantity(_start_limits, lambda s: s.start_hz, _store_start, _axis_step, shift=_frequency_offset),
-    "stop_hz": Quantity(_stop_limits, lambda s: s.stop_hz, _store_stop, _axis_step, shift=_frequency_offset),
-    "offset_hz": Quantity(_fixed(-1e12, 1e12, 0.0), lambda s: s.offset_hz, _store_offset, _by(1e6)),
+    "step_hz": Quantity(_step_limits, lambda s: s.step_hz, _put("step_chosen_hz"), _by_half("step_hz")),
+    "start_hz": Quantity(_start_limits, lambda s: s.start_hz, _store_start, _axis_step, shift=lambda s: s.offset_hz),
+    "stop_hz": Quantity(_stop_limits, lambda s: s.stop_hz, _store_stop, _axis_step, shift=lambda s: s.offset_hz),
+    "offset_hz": Quantity(_fixed(-1e12, 1e12, 0.0), lambda s: s.offset_hz, _put("offset_hz"), _by(1e6)),
     "rbw_hz": Quantity(
         lambda s: s.model.rbw.limits,
         lambda s: s.rbw_shown_hz,
@@ -191,42 +143,42 @@ QUANTITIES: dict[str, Quantity] = {
     "rbw_per_span": Quantity(
         lambda s: Limits(1e-5, 1.0, 1.0 / s.model.span_per_rbw),
         lambda s: 1.0 / s.span_per_rbw,
-        _store_rbw_per_span,
+        lambda s, ratio: setattr(s, "span_per_rbw", 1.0 / ratio),
         lambda s, direction: direction * 0.5 / s.span_per_rbw,
     ),
     "span_per_rbw": Quantity(
         lambda s: Limits(1.0, 1e5, s.model.span_per_rbw),
         lambda s: s.span_per_rbw,
-        _store_span_per_rbw,
+        _put("span_per_rbw"),
         _by_half("span_per_rbw"),
     ),
     "vbw_per_rbw": Quantity(
         lambda s: Limits(1e-5, 1e6, s.model.vbw_per_rbw),
         lambda s: s.vbw_per_rbw,
-        _store_vbw_per_rbw,
+        _put("vbw_per_rbw"),
         _by_half("vbw_per_rbw"),
     ),
     "points": Quantity(
         lambda s: s.model.points,
         lambda s: s.points,
-        _store_points,
+        _put_whole("points"),
         _by_half("points"),
         is_ignored=lambda s: s.model.are_points_fixed,
     ),
     "time_s": Quantity(lambda s: s.model.sweep_time_s, lambda s: s.time_s, _store_time, _by_half("time_s")),
-    "count": Quantity(_fixed(0, MAX_SWEEPS, 0), lambda s: s.count, _store_count, _by(1.0)),
+    "count": Quantity(_fixed(0, MAX_SWEEPS, 0), lambda s: s.count, _put_whole("count"), _by(1.0)),
     "average_count": Quantity(
-        lambda s: s.model.average_count, lambda s: s.average_count, _store_average_count, _by(1.0)
+        lambda s: s.model.average_count, lambda s: s.average_count, _put_whole("average_count"), _by(1.0)
     ),
     "reference_dbm": Quantity(
         lambda s: s.model.reference_dbm,
         lambda s: s.reference_dbm,
-        _store_reference,
+        _put("reference_dbm"),
         _by(10.0),
-        shift=_level_offset,
+        shift=lambda s: s.level_offset_db,
     ),
     "level_offset_db": Quantity(
-        lambda s: s.model.level_offset_db, lambda s: s.level_offset_db, _store_level_offset, _by(1.0)
+        lambda s: s.model.level_offset_db, lambda s: s.level_offset_db, _put("level_offset_db"), _by(1.0)
     ),
     "attenuation_db": Quantity(
         lambda s: s.model.attenuation_db,

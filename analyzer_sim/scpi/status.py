@@ -53,10 +53,6 @@ class StatusRegister:
         """Set or clear one bit of the condition."""
         self.put_condition(self.condition | bit if is_set else self.condition & ~bit)
 
-    def put_enable(self, bits: int) -> None:
-        """Replace the enable mask; bit 15 is always zero."""
-        self.enable = bits & REGISTER_MASK
-
     def preset(self) -> None:
         """Report nothing; let rising edges through."""
         self.enable, self.rising, self.falling = 0, REGISTER_MASK, 0

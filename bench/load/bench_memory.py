@@ -6,7 +6,6 @@ without torques over ``--rows`` of 60 s; half a million are a year and take a qu
 the resident memory over what the process holds when its programs are loaded and have run once.
 """
 
-import argparse
 import sys
 import tempfile
 from collections.abc import Callable
@@ -18,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench import plain_batch
+from bench import options_of, plain_batch
 from db.storage import SqlStorage
 from service.pipeline.calibration.geometry_calibration import calibrate_geometry
 from service.pipeline.config import AlignmentConfig, CalibrationConfig, ChainConfig
@@ -44,10 +43,7 @@ _RECEIVED_US = 2_000_000_000_000_000
 
 def main() -> bool:
     """Print the figures and return whether the goals are met."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--days", type=float, default=3.0)
-    parser.add_argument("--rows", type=int, default=10_000)
-    options, _ = parser.parse_known_args()
+    options = options_of(__doc__, days=3.0, rows=10_000)
     is_met = []
     with tempfile.TemporaryDirectory(dir=Path.cwd(), prefix="bench-") as name:
         made = sqlite_url(f"{name}/calibration.db"), sqlite_url(f"{name}/replay.db")

@@ -6,24 +6,20 @@ are measured in turn, each on a database of its own. The server and this program
 the ratio says what is left for estimators, and the processor time of a row says what sharing costs.
 """
 
-import argparse
 import os
 import statistics
 import sys
 import time
 from collections import Counter
 from contextlib import ExitStack
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from bench import plain_batch
+from bench import options_of, plain_batch, prepare
 from bench.load.server_process import ServedProcess, running
 from db.storage import SqlStorage
-from service.records.calibration import Alignment
 from tests.fakes.drivers.postgresql_cluster import NoServerError, PostgresqlCluster
-from tests.fakes.worlds.geometry_flight import FlightPayload
 from tests.fakes.worlds.synthetic_payload import HOUR, MINUTE, START_US, SyntheticPayload
 
 CARRIERS = 16
@@ -39,11 +35,7 @@ class Run(NamedTuple):
 
 def main() -> bool:
     """Print the ratio and return whether the goal is met."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--spacecraft", type=int, default=40)
-    parser.add_argument("--rows", type=int, default=100)
-    parser.add_argument("--repeats", type=int, default=3)
-    options, _ = parser.parse_known_args()
+    options = options_of(__doc__, spacecraft=40, rows=100, repeats=3)
     try:
         cluster = PostgresqlCluster(fsync=True)
     except NoServerError as fault:
@@ -95,18 +87,6 @@ def measured(cluster: PostgresqlCluster, estimators: int, spacecraft: int, rows:
     storage.close()
     cluster.drop(url)
     return Run(spacecraft * rows / seconds, cpu_s / (spacecraft * rows))
-
-
-def prepare(storage: SqlStorage, payload: SyntheticPayload | FlightPayload, name: str, alignment: Alignment) -> None:
-    """Store a calibrated and aligned spacecraft."""
-    storage.catalogue.add_spacecraft(replace(payload.spacecraft(), id=name))
-    storage.catalogue.put_plan(name, payload.carriers(), "bench")
-    storage.catalogue.put_ephemeris(name, payload.ephemeris())
-    known = payload.calibration()
-    draft = storage.results.add_calibration(name, known.request, 1, 1, START_US, "bench")
-    storage.results.finish_calibration(name, draft.id, known.result, None)
-    storage.results.activate_calibration(name, draft.id)
-    storage.results.add_alignment(name, replace(alignment, calibration_id=draft.id))
 
 
 def store(storage: SqlStorage, payload: SyntheticPayload, names: list[str], first: int, rows: int) -> None:

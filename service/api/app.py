@@ -30,7 +30,7 @@ from service.api.monitoring.access_log import RequestLog, RequestMetrics
 from service.api.monitoring.metrics import Metrics, SharedReadiness
 from service.api.problems.problems import add_handlers
 from service.api.protocol import openapi
-from service.api.protocol.requests import KNOWN_PARAMETERS, RequestIds
+from service.api.protocol.requests import KNOWN_PARAMETERS, RequestIds, describe_bodies
 from service.api.routes import PUBLIC_ROUTERS, ROUTERS
 from service.api.stream.event_stream import OpenStreams, StreamParts
 from service.runtime.control.release_service import AutomaticRelease
@@ -138,7 +138,9 @@ def _bare_app(limits: Limits, statistics: RequestMetrics, monitoring: Monitoring
     add_handlers(app)
     # each router by itself: a router of routers would be searched on every request
     for router in ROUTERS:
+        describe_bodies(router)
         app.include_router(router, prefix=BASE_PATH, dependencies=[MAY_READ, KNOWN_PARAMETERS])
     for router in PUBLIC_ROUTERS:
+        describe_bodies(router)
         app.include_router(router, dependencies=[KNOWN_PARAMETERS])
     return app

@@ -239,18 +239,6 @@ class ApiContext:
     memory: PresentMemory = field(default_factory=PresentMemory)
 
 
-async def context_of(request: Request) -> ApiContext:
-    """Return the context of the application that serves a request."""
-    context: ApiContext = request.app.state.context
-    return context
-
-
-async def carrier_names_of(request: Request) -> CarrierNameCache:
-    """Return the application's memory of carrier ids."""
-    names: CarrierNameCache = request.app.state.carrier_names
-    return names
-
-
 SpacecraftIdText = Annotated[
     str, Path(description="Id of a spacecraft", json_schema_extra={"pattern": SPACECRAFT_ID_PATTERN})
 ]
@@ -269,8 +257,17 @@ async def spacecraft_id_of(spacecraft_id: SpacecraftIdText) -> str:
     return checked_spacecraft_id(spacecraft_id)
 
 
-Context = Annotated[ApiContext, Depends(context_of)]
-Names = Annotated[CarrierNameCache, Depends(carrier_names_of)]
+def of_application(name: str) -> Any:
+    """Return the dependency that gives a part of the application's state."""
+
+    async def read(request: Request) -> Any:
+        return getattr(request.app.state, name)
+
+    return Depends(read)
+
+
+Context = Annotated[ApiContext, of_application("context")]
+Names = Annotated[CarrierNameCache, of_application("carrier_names")]
 SpacecraftId = Annotated[str, Depends(spacecraft_id_of)]
 
 
@@ -356,6 +353,15 @@ class EpochLimits:
         return bounds._replace(earliest_us=max(bounds.earliest_us, known.kept_from_us))
 
 
+Epochs = Annotated[EpochLimits, of_application("epoch_limits")]
+
+
+async def present_bounds(spacecraft_id: SpacecraftId, epochs: Epochs) -> EpochBounds:
+    """Return the bounds of epochs at this moment."""
+    return await epochs.present(spacecraft_id)
+
+
+PresentBounds = Annotated[EpochBounds, Depends(present_bounds)]
 MethodParameter = Annotated[Method | None, Query(description="Default: the method that drives control")]
 VersionParameter = Annotated[
     str, Query(max_length=64, description="`live`, `smoothed` (live rows of robust_smoothed), or that of a replay")
@@ -450,3 +456,6 @@ class PlanWidths:
         """Forget the plans of a spacecraft: it was deleted, or one of them withdrawn."""
         for key in [key for key in self._widths if key[0] == spacecraft_id]:
             self._widths.pop(key, None)
+
+
+Widths = Annotated[PlanWidths, of_application("plan_widths")]

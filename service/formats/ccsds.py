@@ -76,41 +76,9 @@ class Segment:
     data: list[tuple[int, str]] = field(default_factory=list)
 
 
-def read_segments(text: str, version_keyword: str) -> list[Segment]:
-    """Return the segments of a message.
-
-    Parameters
-    ----------
-    text : str
-        The whole message.
-    version_keyword : str
-        ``CCSDS_AEM_VERS`` or ``CCSDS_TDM_VERS``, which must come first.
-
-    Raises
-    ------
-    InvalidInputError
-        ``ccsds.malformed`` with the line.
-    """
-    segments: list[Segment] = []
-    position = "header"
-    for number, content in _content_lines(text):
-        if number == 1 and not content.startswith(version_keyword):
-            raise malformed(number, f"the message must begin with {version_keyword}")
-        if content in _MARKS:
-            position = _entered(position, content, number)
-            segments += [Segment()] if position == "meta" else []
-        elif position == "data":
-            segments[-1].data.append((number, content))
-        else:
-            keyword, value = keyword_and_value(number, content)
-            _parse_keyword(segments, position, number, (keyword, value))
-    if position != "end":
-        raise malformed(len(text.splitlines()), "the message ends before DATA_STOP")
-    return segments
-
-
 #: mark -> places where it may stand, and the place it opens
-_MARKS = {
+Marks = Mapping[str, tuple[tuple[str, ...], str]]
+_MARKS: Marks = {
     "META_START": (("header", "end"), "meta"),
     "META_STOP": (("meta",), "between"),
     "DATA_START": (("between",), "data"),
@@ -118,11 +86,43 @@ _MARKS = {
 }
 
 
-def _entered(position: str, mark: str, number: int) -> str:
-    allowed, opened = _MARKS[mark]
-    if position not in allowed:
-        raise malformed(number, f"{mark} stands at the wrong place")
-    return opened
+def read_segments(text: str, version_keyword: str, marks: Marks = _MARKS, end: str | None = "end") -> list[Segment]:
+    """Return the segments of a message.
+
+    Parameters
+    ----------
+    text : str
+        The whole message.
+    version_keyword : str
+        ``CCSDS_AEM_VERS``, ``CCSDS_OEM_VERS`` or ``CCSDS_TDM_VERS``, which must come first.
+    marks : mapping
+        Lines that open a place.
+    end : str or None
+        Place at which the message ends; None: at any.
+
+    Raises
+    ------
+    InvalidInputError
+        ``ccsds.malformed`` with the line.
+    """
+    segments: list[Segment] = []
+    position, lines = "header", list(_content_lines(text))
+    if not lines or not lines[0][1].startswith(version_keyword):
+        raise malformed(1, f"the message must begin with {version_keyword}")
+    for number, content in lines:
+        if content in marks:
+            allowed, opened = marks[content]
+            if position not in allowed:
+                raise malformed(number, f"{content} stands at the wrong place")
+            position = opened
+            segments += [Segment()] if position == "meta" else []
+        elif position == "data":
+            segments[-1].data.append((number, content))
+        elif position != "covariance":
+            _parse_keyword(segments, position, number, keyword_and_value(number, content))
+    if end is not None and position != end:
+        raise malformed(len(text.splitlines()), "the message ends before DATA_STOP")
+    return segments
 
 
 def _parse_keyword(segments: list[Segment], position: str, number: int, pair: tuple[str, str]) -> None:

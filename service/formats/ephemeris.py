@@ -11,7 +11,7 @@ import numpy as np
 from sgp4.io import compute_checksum
 
 from service.errors import InvalidInputError
-from service.formats.ccsds import calendar_us, is_useable
+from service.formats.ccsds import calendar_us, is_useable, read_segments
 from service.records.catalogue import Ephemeris, Track
 from service.records.levels.attitude import FloatArray, IntArray
 
@@ -243,14 +243,19 @@ _INTERPOLATIONS = frozenset({"", "HERMITE", "LAGRANGE", "LINEAR"})
 _WINDOW = 5
 #: greatest difference of a stated rate: share of the rate, and what rounded positions leave, km/s
 _VELOCITY_SHARE, _VELOCITY_NOISE_KM_S = 0.01, 1e-4
-_MARKS = {"META_START": "meta", "META_STOP": "data", "COVARIANCE_START": "covariance", "COVARIANCE_STOP": "data"}
+_MARKS = {
+    "META_START": (("header", "data"), "meta"),
+    "META_STOP": (("meta",), "data"),
+    "COVARIANCE_START": (("data",), "covariance"),
+    "COVARIANCE_STOP": (("covariance",), "data"),
+}
 
 
 @dataclass(slots=True)
 class _Segment:
     """One block of metadata and its states."""
 
-    meta: dict[str, str] = field(default_factory=dict)
+    meta: dict[str, str]
     epochs_us: list[int] = field(default_factory=list)
     #: x, y, z in km, then their rates in km/s
     states: list[list[float]] = field(default_factory=list)
@@ -286,32 +291,15 @@ def read_oem(text: str) -> Ephemeris:
 
 
 def _parse(text: str) -> list[_Segment]:
-    lines = text.splitlines()
-    if not lines or not lines[0].strip().startswith("CCSDS_OEM_VERS"):
-        raise InvalidInputError("oem.malformed", "the message must begin with CCSDS_OEM_VERS")
-    segments: list[_Segment] = []
-    position = "header"
-    for number, line in enumerate(lines, start=1):
-        content = line.strip()
-        if content in _MARKS:
-            position = _MARKS[content]
-            segments += [_Segment()] if content == "META_START" else []
-        elif content and not content.startswith("COMMENT"):
-            _consume(position, content, number, segments)
+    try:
+        found = read_segments(text, "CCSDS_OEM_VERS", _MARKS, end=None)
+    except InvalidInputError as error:
+        raise InvalidInputError("oem.malformed", error.detail) from None
+    segments = [_Segment(each.meta) for each in found]
+    for segment, each in zip(segments, found, strict=True):
+        for number, content in each.data:
+            _read_state(content.split(), number, segment)
     return segments
-
-
-def _consume(position: str, content: str, number: int, segments: list[_Segment]) -> None:
-    """Take in one line at its place."""
-    if position == "meta":
-        keyword, is_assigned, value = content.partition("=")
-        if not is_assigned:
-            raise _malformed(number, "metadata must be written KEYWORD = value")
-        segments[-1].meta[keyword.strip()] = value.strip()
-    elif position == "data":
-        if not segments:
-            raise _malformed(number, "states must follow a META_START ... META_STOP block")
-        _read_state(content.split(), number, segments[-1])
 
 
 def _read_state(cells: list[str], number: int, segment: _Segment) -> None:

@@ -62,19 +62,6 @@ def do_work(run: Callable[[_Asked], _Result], asked: _Asked) -> _Result:
         os._exit(1)
 
 
-class SerialExecutor(Executor):
-    """Executor that runs a piece of work before `submit` returns."""
-
-    def submit(self, run: Callable[..., _Result], /, *args: Any, **kwargs: Any) -> Future[_Result]:
-        """Run a piece of work."""
-        done: Future[_Result] = Future()
-        try:
-            done.set_result(run(*args, **kwargs))
-        except Exception as error:  # noqa: BLE001 - whatever the work raises is the caller's
-            done.set_exception(error)
-        return done
-
-
 @contextmanager
 def _process_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     """Give processes, one thread a matrix product; end them with what they have started when the work ends early."""

@@ -4,10 +4,10 @@ from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import groupby, islice, pairwise
+from itertools import chain, groupby, islice, pairwise
 from operator import attrgetter
 from threading import Condition, Thread
-from typing import NamedTuple, Protocol, TypeVar, cast
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
@@ -43,11 +43,14 @@ class RecordPage:
 
 Chunk = MeasurementBlock | RecordPage
 D = TypeVar("D", bound=Dated)
+R = TypeVar("R")
+#: place of a record in a list
+_by_epoch: Callable[[Any], tuple[int, int]] = attrgetter("epoch_us", "number")
 
 
-def pages_of(
-    read: Callable[[ListPart], Sequence[D]], window: Window, number_of: Callable[[D], int] = attrgetter("number")
-) -> Iterator[Chunk]:
+def pages(
+    read: Callable[[ListPart], Sequence[R]], window: Window, position: Callable[[R], tuple[int, int]] = _by_epoch
+) -> Iterator[Sequence[R]]:
     """Yield the records of a window page by page until one is short.
 
     Parameters
@@ -56,17 +59,22 @@ def pages_of(
         Gives the records of a part of the list.
     window : Window
         Where they are.
-    number_of : callable
-        Gives the number of a record.
+    position : callable
+        Gives the place of a record.
     """
     after: tuple[int, int] | None = None
     while True:
-        records = read(ListPart(window, PAGE_ROWS, after))
-        if records:
-            yield record_page(records)
-        if len(records) < PAGE_ROWS:
+        page = read(ListPart(window, PAGE_ROWS, after))
+        if page:
+            yield page
+        if len(page) < PAGE_ROWS:
             return
-        after = (records[-1].epoch_us, number_of(records[-1]))
+        after = position(page[-1])
+
+
+def pages_of(read: Callable[[ListPart], Sequence[D]], window: Window) -> Iterator[Chunk]:
+    """Return the records of a window page by page."""
+    return map(record_page, pages(read, window))
 
 
 def record_page(records: Sequence[Dated]) -> RecordPage:
@@ -167,9 +175,8 @@ def _command_spans(page: Sequence[Measurement]) -> list[Window]:
 
 
 def _all(read: Callable[[ListPart], Sequence[N]], window: Window) -> Iterator[N]:
-    """Yield every record that a reader of pages gives."""
-    pages = cast("Iterator[RecordPage]", pages_of(read, window))
-    return (record for page in pages for record in cast("Sequence[N]", page.records))
+    """Return every record that a reader of pages gives."""
+    return chain.from_iterable(pages(read, window))
 
 
 #: powers that wait to be written; a group of rows of Parquet is written in one go and takes as much meanwhile

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from heapq import merge
-from itertools import islice
+from itertools import chain, islice
 from typing import Any, Literal, NamedTuple, cast
 
 from service.api.context import ApiContext, check_method, check_version
@@ -25,7 +25,7 @@ from service.formats.tabular.table_file import (
     table_bytes,
 )
 from service.formats.tdm import TdmWriter, TrackingMessage
-from service.ports.archive import LIVE, ListPart
+from service.ports.archive import LIVE
 from service.records.calibration import Window
 from service.records.catalogue import Method
 from service.records.inputs import KIND_OF, JournalEntry
@@ -240,26 +240,15 @@ class _Maker:
         return ArchiveFile("events", (), read, self._table(series_tables.EVENTS))
 
     def _entries(self, kind: str, window: Window) -> Iterator[JournalEntry]:
-        """Yield the slow inputs of a kind in order of (start, number)."""
-        after: tuple[int, int] | None = None
-        while True:
-            page = self._context.storage.archive.inputs(
-                self._sc, kind, ListPart(window, export_chunks.PAGE_ROWS, after)
-            )
-            yield from page
-            if len(page) < export_chunks.PAGE_ROWS:
-                return
-            after = (page[-1].start_us or 0, page[-1].number)
+        """Return the slow inputs of a kind in order of (start, number)."""
+        read = partial(self._context.storage.archive.inputs, self._sc, kind)
+        return chain.from_iterable(export_chunks.pages(read, window, lambda entry: (entry.start_us or 0, entry.number)))
 
     def _alarms(self, window: Window) -> Iterator[series_tables.EventRow]:
-        """Yield the alarms that were raised, in order of (raised, id)."""
-        after: tuple[int, int] | None = None
-        while True:
-            page = self._context.storage.alarms.alarms(self._sc, (), ListPart(window, export_chunks.PAGE_ROWS, after))
-            yield from map(_alarm_event, page)
-            if len(page) < export_chunks.PAGE_ROWS:
-                return
-            after = (page[-1].raised_at_us, page[-1].id)
+        """Return the alarms that were raised, in order of (raised, id)."""
+        read = partial(self._context.storage.alarms.alarms, self._sc, ())
+        alarms = export_chunks.pages(read, window, lambda alarm: (alarm.raised_at_us, alarm.id))
+        return map(_alarm_event, chain.from_iterable(alarms))
 
     def _measurement_rows(self, window: Window) -> Iterator[export_chunks.Chunk]:
         archive = self._context.storage.archive

@@ -8,10 +8,11 @@ import secrets
 from difflib import get_close_matches
 from functools import partial
 from http import HTTPStatus
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
-from fastapi import Depends, Request, params
+from fastapi import APIRouter, Depends, Request, params
 from fastapi.dependencies.utils import get_flat_params
+from fastapi.routing import APIRoute
 from pydantic import BaseModel, RootModel, TypeAdapter, ValidationError
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers, MutableHeaders
@@ -147,26 +148,6 @@ async def raw_body(request: Request) -> bytes:
     return body
 
 
-def body_of(model: type[M]) -> Any:
-    """Return the dependency that reads the body as a model."""
-    adapter = TypeAdapter(model)
-
-    async def read(request: Request) -> M:
-        return await read_body(request, adapter)
-
-    return Depends(read)
-
-
-def optional_body(model: type[M]) -> Any:
-    """Return the dependency that reads a body as a model; no body is the model without any field."""
-    adapter = TypeAdapter(model)
-
-    async def read(request: Request) -> M:
-        return await read_body(request, adapter) if await request.body() else model()
-
-    return Depends(read)
-
-
 def accepts(model: type[BaseModel], *, is_csv: bool = False, is_required: bool = True) -> dict[str, Any]:
     """Return the OpenAPI description of a body; ``openapi.py`` lifts the definitions out of it."""
     schema = model.model_json_schema(ref_template=_REF_TEMPLATE)
@@ -174,6 +155,59 @@ def accepts(model: type[BaseModel], *, is_csv: bool = False, is_required: bool =
     if is_csv:
         content["text/csv"] = {"schema": {"type": "string"}}
     return {"requestBody": {"required": is_required, "content": content}}
+
+
+class BodyReader:
+    """Dependency that reads a body as a model; where it is optional, no body is the model without any field.
+
+    Parameters
+    ----------
+    model : type
+        Of the document.
+    is_required : bool
+        Whether there must be a body.
+    """
+
+    def __init__(self, model: type[BaseModel], *, is_required: bool) -> None:
+        self._model, self._is_required = model, is_required
+        self._adapter = TypeAdapter(model)
+
+    async def __call__(self, request: Request) -> BaseModel:
+        """Return the document of a request."""
+        is_read = self._is_required or await request.body()
+        return await read_body(request, self._adapter) if is_read else self._model()
+
+    def describe(self, route: APIRoute) -> None:
+        """State the body in the OpenAPI description of a route, unless the route states it itself."""
+        route.openapi_extra = route.openapi_extra or accepts(self._model, is_required=self._is_required)
+
+
+def describe_bodies(router: APIRouter) -> None:
+    """State the bodies of the routes in their OpenAPI description."""
+    for route in (each for each in router.routes if isinstance(each, APIRoute)):
+        for dependency in route.dependant.dependencies:
+            if isinstance(dependency.call, BodyReader):
+                dependency.call.describe(route)
+
+
+if TYPE_CHECKING:
+    Body = Annotated[M, ...]
+    OptionalBody = Annotated[M, ...]
+else:
+
+    class Body:
+        """`Body[Document]`: parameter of a route that is the body, read as a document."""
+
+        def __class_getitem__(cls, model: type[M]) -> Any:
+            """Return the type of the parameter."""
+            return Annotated[model, Depends(BodyReader(model, is_required=True))]
+
+    class OptionalBody:
+        """`OptionalBody[Document]`: the same of a body that may be absent."""
+
+        def __class_getitem__(cls, model: type[M]) -> Any:
+            """Return the type of the parameter."""
+            return Annotated[model, Depends(BodyReader(model, is_required=False))]
 
 
 _ONE_RANGE = re.compile(r"bytes\s*=\s*(\d{0,19})-(\d{0,19})\s*", re.ASCII | re.IGNORECASE)

@@ -8,19 +8,19 @@ from operator import attrgetter
 from platform import python_version
 from typing import Annotated, Literal
 
-from fastapi import APIRouter, Depends, Path, Query, Request, Response
+from fastapi import APIRouter, Path, Query, Request, Response
 from fastapi.responses import HTMLResponse
 from pydantic import BaseModel
 from starlette.concurrency import run_in_threadpool
 
 from service.api.access import auth
 from service.api.access.housekeeping import StoredKeys
-from service.api.context import Context
+from service.api.context import Context, of_application
 from service.api.monitoring.metrics import MEDIA_TYPE, Metrics, SharedReadiness, require_ready
 from service.api.problems.problems import RequestProblemError, invalid_request
 from service.api.protocol.openapi import render_page
 from service.api.protocol.paging import Page
-from service.api.protocol.requests import accepts, body_of, media_type, unsupported_media
+from service.api.protocol.requests import Body, media_type, unsupported_media
 from service.api.schemas.access import (
     AboutAnswer,
     AuditEntryAnswer,
@@ -188,22 +188,12 @@ keys_router = APIRouter(prefix="/keys", tags=["access"], dependencies=[auth.MAY_
 _ID = re.compile(r"[a-z0-9]{1,32}", re.ASCII)
 
 
-async def stored_keys_of(request: Request) -> StoredKeys:
-    """Return the keys that the application knows."""
-    keys: StoredKeys = request.app.state.stored_keys
-    return keys
+Ring = Annotated[StoredKeys, of_application("stored_keys")]
 
 
-Ring = Annotated[StoredKeys, Depends(stored_keys_of)]
-
-
-@keys_router.post("", status_code=HTTPStatus.CREATED, openapi_extra=accepts(KeyDocument))
+@keys_router.post("", status_code=HTTPStatus.CREATED)
 def create_key(
-    body: Annotated[KeyDocument, body_of(KeyDocument)],
-    context: Context,
-    principal: auth.CurrentPrincipal,
-    ring: Ring,
-    response: Response,
+    body: Body[KeyDocument], context: Context, principal: auth.CurrentPrincipal, ring: Ring, response: Response
 ) -> NewKeyAnswer:
     """Make a key; only this answer contains its secret."""
     now_us = context.clock.system_us()
@@ -275,13 +265,9 @@ def revoke_key(key_id: Annotated[str, Path(description="Id of a key")], context:
 session_router = APIRouter(prefix="/api/v1/session", tags=["access"])
 
 
-@session_router.post("", openapi_extra=accepts(SessionDocument))
+@session_router.post("")
 async def open_browser_session(
-    body: Annotated[SessionDocument, body_of(SessionDocument)],
-    context: Context,
-    ring: Ring,
-    request: Request,
-    response: Response,
+    body: Body[SessionDocument], context: Context, ring: Ring, request: Request, response: Response
 ) -> SessionAnswer:
     """Open a session: the answer sets a cookie that stands for the key for twelve hours, or until the key expires."""
     if not media_type(request):

@@ -9,7 +9,7 @@ from service.api.access.auth import MAY_OPERATE, CurrentPrincipal, Permission, P
 from service.api.context import ApiContext, Context, SpacecraftId
 from service.api.problems.problems import RequestProblemError
 from service.api.protocol.paging import EVERYTHING, Page, window_of
-from service.api.protocol.requests import accepts, body_of, optional_body
+from service.api.protocol.requests import Body, OptionalBody
 from service.api.schemas import calibrations as documents
 from service.api.schemas.access import JobAnswer
 from service.api.schemas.base import LiveMethod
@@ -24,12 +24,10 @@ from service.runtime.jobs.analysis import MIN_COUNT, recommend_carriers, window_
 alignments_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/alignments", tags=["calibration"])
 
 
-@alignments_router.post(
-    "", status_code=HTTPStatus.CREATED, dependencies=[MAY_OPERATE], openapi_extra=accepts(documents.AlignmentDocument)
-)
+@alignments_router.post("", status_code=HTTPStatus.CREATED, dependencies=[MAY_OPERATE])
 def align(
     spacecraft_id: SpacecraftId,
-    body: Annotated[documents.AlignmentDocument, body_of(documents.AlignmentDocument)],
+    body: Body[documents.AlignmentDocument],
     context: Context,
     principal: CurrentPrincipal,
     response: Response,
@@ -73,15 +71,10 @@ calibrations_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/calibrations
 CalibrationId = Annotated[int, Path(ge=1, le=2**31 - 1)]
 
 
-@calibrations_router.post(
-    "",
-    status_code=HTTPStatus.ACCEPTED,
-    dependencies=[MAY_OPERATE],
-    openapi_extra=accepts(documents.CalibrationDocument),
-)
+@calibrations_router.post("", status_code=HTTPStatus.ACCEPTED, dependencies=[MAY_OPERATE])
 def start_calibration(
     spacecraft_id: SpacecraftId,
-    body: Annotated[documents.CalibrationDocument, body_of(documents.CalibrationDocument)],
+    body: Body[documents.CalibrationDocument],
     context: Context,
     principal: CurrentPrincipal,
     response: Response,
@@ -114,15 +107,11 @@ def delete_calibration(spacecraft_id: SpacecraftId, calibration_id: CalibrationI
     context.storage.results.delete_calibration(spacecraft_id, calibration_id)
 
 
-@calibrations_router.post(
-    "/{calibration_id}:activate",
-    dependencies=[MAY_OPERATE],
-    openapi_extra=accepts(documents.ActivationDocument, is_required=False),
-)
+@calibrations_router.post("/{calibration_id}:activate", dependencies=[MAY_OPERATE])
 def activate_calibration(
     spacecraft_id: SpacecraftId,
     calibration_id: CalibrationId,
-    body: Annotated[documents.ActivationDocument, optional_body(documents.ActivationDocument)],
+    body: OptionalBody[documents.ActivationDocument],
     context: Context,
 ) -> documents.CalibrationAnswer:
     """Make a calibration the active one of its method; the one before it is superseded, history stays.
@@ -205,14 +194,9 @@ ReplayId = Annotated[int, Path(ge=1, le=2**31 - 1)]
 replays_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/replays", tags=["replay"])
 
 
-@replays_router.post(
-    "", status_code=HTTPStatus.ACCEPTED, dependencies=[MAY_OPERATE], openapi_extra=accepts(ReplayDocument)
-)
+@replays_router.post("", status_code=HTTPStatus.ACCEPTED, dependencies=[MAY_OPERATE])
 def start_replay(
-    spacecraft_id: SpacecraftId,
-    body: Annotated[ReplayDocument, body_of(ReplayDocument)],
-    context: Context,
-    response: Response,
+    spacecraft_id: SpacecraftId, body: Body[ReplayDocument], context: Context, response: Response
 ) -> ReplayStartedAnswer:
     """Start a replay; its rows are read by ?version= on history and export."""
     context.storage.catalogue.spacecraft(spacecraft_id)

@@ -10,12 +10,12 @@ from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from service.api.access.auth import MAY_OPERATE, note_choice
-from service.api.context import Context, EpochLimits, PlanWidths, SpacecraftId
+from service.api.context import Context, Epochs, SpacecraftId, Widths
 from service.api.problems.problems import MAX_FAULTS, invalid_request
 from service.api.protocol.requests import (
+    Body,
     MergePatch,
     accepts,
-    body_of,
     decode,
     is_json,
     media_type,
@@ -101,24 +101,20 @@ def get_carriers(
 
 @carriers_router.post("/{plan_id}:withdraw", status_code=HTTPStatus.NO_CONTENT, dependencies=[MAY_OPERATE])
 def withdraw_carriers(
-    spacecraft_id: SpacecraftId, plan_id: Annotated[int, Path(ge=1, le=2**31 - 1)], context: Context, request: Request
+    spacecraft_id: SpacecraftId, plan_id: Annotated[int, Path(ge=1, le=2**31 - 1)], context: Context, widths: Widths
 ) -> None:
     """Withdraw a plan without rows; the newest of the others holds again, its number is not given again."""
     context.storage.catalogue.withdraw_plan(spacecraft_id, plan_id)
-    plan_widths: PlanWidths = request.app.state.plan_widths
-    plan_widths.forget(spacecraft_id)
+    widths.forget(spacecraft_id)
     context.on_accepted(spacecraft_id)
 
 
 ephemeris_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/ephemeris", tags=["catalogue"])
 
 
-@ephemeris_router.put("", dependencies=[MAY_OPERATE], openapi_extra=accepts(EphemerisDocument))
+@ephemeris_router.put("", dependencies=[MAY_OPERATE])
 def put_ephemeris(
-    spacecraft_id: SpacecraftId,
-    body: Annotated[EphemerisDocument, body_of(EphemerisDocument)],
-    context: Context,
-    request: Request,
+    spacecraft_id: SpacecraftId, body: Body[EphemerisDocument], context: Context, request: Request
 ) -> EphemerisReceiptAnswer:
     """Put an ephemeris; it holds from here on, the former ones stay."""
     # an unknown spacecraft is a 404 whatever the orbit says
@@ -183,18 +179,12 @@ def select_source(
 spacecraft_router = APIRouter(prefix="/spacecraft", tags=["catalogue"])
 
 
-class SpacecraftList(RowList):
+class SpacecraftList(RowList[SpacecraftDocument]):
     """All spacecraft in order of id."""
 
-    rows: list[SpacecraftDocument]
 
-
-@spacecraft_router.post(
-    "", status_code=HTTPStatus.CREATED, dependencies=[MAY_OPERATE], openapi_extra=accepts(SpacecraftDocument)
-)
-def create_spacecraft(
-    body: Annotated[SpacecraftDocument, body_of(SpacecraftDocument)], context: Context, response: Response
-) -> SpacecraftAnswer:
+@spacecraft_router.post("", status_code=HTTPStatus.CREATED, dependencies=[MAY_OPERATE])
+def create_spacecraft(body: Body[SpacecraftDocument], context: Context, response: Response) -> SpacecraftAnswer:
     """Add a spacecraft; 409 when its id exists or has existed."""
     if "mode" in body.control.model_fields_set:
         _check_ground_control(body)
@@ -219,9 +209,9 @@ def get_spacecraft(spacecraft_id: SpacecraftId, context: Context) -> SpacecraftD
     return SpacecraftDocument.of(context.storage.catalogue.spacecraft(spacecraft_id))
 
 
-@spacecraft_router.patch("/{spacecraft_id}", dependencies=[MAY_OPERATE], openapi_extra=accepts(MergePatch))
+@spacecraft_router.patch("/{spacecraft_id}", dependencies=[MAY_OPERATE])
 def change_spacecraft(
-    spacecraft_id: SpacecraftId, body: Annotated[MergePatch, body_of(MergePatch)], context: Context, request: Request
+    spacecraft_id: SpacecraftId, body: Body[MergePatch], context: Context, epochs: Epochs
 ) -> SpacecraftAnswer:
     """Change fields of a spacecraft, the others stay; what POST accepts with these fields, PATCH accepts too."""
     stored = SpacecraftDocument.of(context.storage.catalogue.spacecraft(spacecraft_id))
@@ -240,20 +230,17 @@ def change_spacecraft(
     if {"control", "inertia_kg_m2", "torque_limit_n_m", "wheels"} & set(body.root):
         _check_gains(changed)
     context.storage.catalogue.replace_spacecraft(changed.to_record())
-    epoch_limits: EpochLimits = request.app.state.epoch_limits
-    epoch_limits.forget(spacecraft_id)
+    epochs.forget(spacecraft_id)
     context.on_accepted(spacecraft_id)
     return _answer(changed, (*about_site, *about_control))
 
 
 @spacecraft_router.delete("/{spacecraft_id}", status_code=HTTPStatus.NO_CONTENT, dependencies=[MAY_OPERATE])
-def delete_spacecraft(spacecraft_id: SpacecraftId, context: Context, request: Request) -> None:
+def delete_spacecraft(spacecraft_id: SpacecraftId, context: Context, epochs: Epochs, widths: Widths) -> None:
     """Delete a spacecraft that never had a measurement; its id is not given again."""
     context.storage.catalogue.delete_spacecraft(spacecraft_id)
-    epoch_limits: EpochLimits = request.app.state.epoch_limits
-    epoch_limits.forget(spacecraft_id)
-    plan_widths: PlanWidths = request.app.state.plan_widths
-    plan_widths.forget(spacecraft_id)
+    epochs.forget(spacecraft_id)
+    widths.forget(spacecraft_id)
 
 
 def _answer(document: SpacecraftDocument, warnings: Sequence[CatalogueWarning]) -> SpacecraftAnswer:

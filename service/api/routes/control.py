@@ -20,8 +20,8 @@ from service.api.context import (
 )
 from service.api.problems.problems import invalid_request
 from service.api.protocol.paging import Page, by_epoch
-from service.api.protocol.requests import accepts, body_of, optional_body
-from service.api.routes.shift import Caller, CurrentCaller, Said, accepts_comment
+from service.api.protocol.requests import Body, OptionalBody, accepts
+from service.api.routes.shift import Caller, CurrentCaller, Said
 from service.api.schemas import control as documents
 from service.api.schemas.measurements import CarrierResultAnswer, CarrierResultPage
 from service.api.schemas.shift import StatusAnswer
@@ -115,10 +115,8 @@ def list_carrier_results(
 
 
 control_router = APIRouter(prefix="/spacecraft/{spacecraft_id}", tags=["control"])
-Ordered = Annotated[documents.OrderDocument, optional_body(documents.OrderDocument)]
-SignChecked = Annotated[documents.SignCheckDocument, optional_body(documents.SignCheckDocument)]
-_ACCEPTS_ORDER = accepts(documents.OrderDocument, is_required=False)
-_ACCEPTS_SIGN_CHECK = accepts(documents.SignCheckDocument, is_required=False)
+Ordered = OptionalBody[documents.OrderDocument]
+SignChecked = OptionalBody[documents.SignCheckDocument]
 #: order in which signs are checked where none is named: yaw turns by the roll that it causes, so it comes last
 _CHECK_ORDER = ("roll", "pitch", "yaw")
 
@@ -129,7 +127,7 @@ def get_control(spacecraft_id: SpacecraftId, context: Context) -> documents.Cont
     return _answer(context, spacecraft_id, context.release_service.control(spacecraft_id))
 
 
-@control_router.post("/control:arm", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_ORDER)
+@control_router.post("/control:arm", dependencies=[MAY_OPERATE])
 def arm_control(caller: CurrentCaller, body: Ordered, request: Request) -> documents.ControlAnswer:
     """Arm: commands may be prepared and confirmed unless a reason is active; two approvers set release automatic."""
     if body.release is None:
@@ -147,19 +145,19 @@ def arm_control(caller: CurrentCaller, body: Ordered, request: Request) -> docum
     return _answer(caller.context, spacecraft_id, release.control(spacecraft_id))
 
 
-@control_router.post("/control:disengage", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_ORDER)
+@control_router.post("/control:disengage", dependencies=[MAY_OPERATE])
 def disengage_control(caller: CurrentCaller, body: Ordered) -> documents.ControlAnswer:
     """Take the standing authorisation back; where there is none, the arming."""
     return _order(caller, OrderKind.DISENGAGE, body)
 
 
-@control_router.post("/control:reset", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_ORDER)
+@control_router.post("/control:reset", dependencies=[MAY_OPERATE])
 def reset_control(caller: CurrentCaller, body: Ordered) -> documents.ControlAnswer:
     """Reset a trip once what tripped is over; ten good minutes and an arming follow."""
     return _order(caller, OrderKind.RESET, body)
 
 
-@control_router.post("/control:stop", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_ORDER)
+@control_router.post("/control:stop", dependencies=[MAY_OPERATE])
 def stop_control(caller: CurrentCaller, body: Ordered) -> documents.ControlAnswer:
     """Trip: no torque is sent until a reset; commands already sent cannot be stopped."""
     return _order(caller, OrderKind.STOP, body)
@@ -181,7 +179,7 @@ def engage_control(caller: CurrentCaller, body: Ordered) -> documents.ControlAns
     return _answer(caller.context, spacecraft_id, view)
 
 
-@control_router.post("/control:sign-check", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_SIGN_CHECK)
+@control_router.post("/control:sign-check", dependencies=[MAY_OPERATE])
 def check_sign(caller: CurrentCaller, body: SignChecked) -> documents.ControlAnswer:
     """Begin to prove the sign of an axis: small turns are prepared one by one, each to be confirmed and reported."""
     axis: str | None = body.axis
@@ -219,21 +217,17 @@ def get_status(spacecraft_id: SpacecraftId, context: Context) -> StatusAnswer:
 torque_commands_router = APIRouter(prefix="/spacecraft/{spacecraft_id}", tags=["release of torques"])
 #: its counter
 CommandId = Annotated[int, Path(ge=1, le=2**53)]
-ReportBody = Annotated[documents.ReportDocument, optional_body(documents.ReportDocument)]
-_ACCEPTS_REPORT = accepts(documents.ReportDocument, is_required=False)
+ReportBody = OptionalBody[documents.ReportDocument]
 
 
 @torque_commands_router.post(
     "/torques:prepare",
     status_code=HTTPStatus.CREATED,
     dependencies=[MAY_OPERATE],
-    openapi_extra=accepts(documents.PrepareDocument),
     responses={HTTPStatus.OK: {"model": documents.CommandAnswer, "description": "Of a dry run: nothing is stored"}},
 )
 def prepare_torques(
-    caller: CurrentCaller,
-    body: Annotated[documents.PrepareDocument, body_of(documents.PrepareDocument)],
-    response: Response,
+    caller: CurrentCaller, body: Body[documents.PrepareDocument], response: Response
 ) -> documents.CommandAnswer:
     """Compute and check a command that waits for another person; a dry run only shows it."""
     command = caller.release.prepare(caller.spacecraft_id, caller.name, body.to_request(), dry_run=body.dry_run)
@@ -271,13 +265,9 @@ def get_attitude_uplink(spacecraft_id: SpacecraftId, context: Context) -> docume
     return documents.UplinkAnswer.of(context.release_service.attitude_uplink(spacecraft_id))
 
 
-@torque_commands_router.post(
-    "/torques/{command_id}:confirm", dependencies=[MAY_APPROVE], openapi_extra=accepts(documents.ConfirmDocument)
-)
+@torque_commands_router.post("/torques/{command_id}:confirm", dependencies=[MAY_APPROVE])
 def confirm_torques(
-    caller: CurrentCaller,
-    command_id: CommandId,
-    body: Annotated[documents.ConfirmDocument, body_of(documents.ConfirmDocument)],
+    caller: CurrentCaller, command_id: CommandId, body: Body[documents.ConfirmDocument]
 ) -> documents.CommandAnswer:
     """Confirm a command that another person prepared; it is released at once, or refused with the reason."""
     command = caller.release.confirm(
@@ -286,9 +276,7 @@ def confirm_torques(
     return documents.CommandAnswer.of(command)
 
 
-@torque_commands_router.post(
-    "/torques/{command_id}:cancel", dependencies=[MAY_OPERATE], openapi_extra=accepts_comment()
-)
+@torque_commands_router.post("/torques/{command_id}:cancel", dependencies=[MAY_OPERATE])
 def cancel_torques(caller: CurrentCaller, command_id: CommandId, body: Said) -> documents.CommandAnswer:
     """Take a prepared command back; what has been released cannot be called back."""
     command = caller.release.cancel(caller.spacecraft_id, command_id, caller.name)
@@ -296,21 +284,19 @@ def cancel_torques(caller: CurrentCaller, command_id: CommandId, body: Said) -> 
     return documents.CommandAnswer.of(command)
 
 
-@torque_commands_router.post("/torques/{command_id}:sent", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_REPORT)
+@torque_commands_router.post("/torques/{command_id}:sent", dependencies=[MAY_OPERATE])
 def report_sent(caller: CurrentCaller, command_id: CommandId, body: ReportBody) -> documents.CommandAnswer:
     """Report that a released command was uplinked."""
     return _reported(caller, command_id, "sent", body)
 
 
-@torque_commands_router.post(
-    "/torques/{command_id}:executed", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_REPORT
-)
+@torque_commands_router.post("/torques/{command_id}:executed", dependencies=[MAY_OPERATE])
 def report_executed(caller: CurrentCaller, command_id: CommandId, body: ReportBody) -> documents.CommandAnswer:
     """Report that a command was executed, whole or between two instants; it becomes known input of the filter."""
     return _reported(caller, command_id, "executed", body)
 
 
-@torque_commands_router.post("/torques/{command_id}:failed", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_REPORT)
+@torque_commands_router.post("/torques/{command_id}:failed", dependencies=[MAY_OPERATE])
 def report_failed(caller: CurrentCaller, command_id: CommandId, body: ReportBody) -> documents.CommandAnswer:
     """Report that a command was not executed, or only between two instants."""
     return _reported(caller, command_id, "failed", body)

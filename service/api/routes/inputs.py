@@ -4,14 +4,13 @@ from collections.abc import Callable, Sequence
 from http import HTTPStatus
 from typing import Annotated, Any, Protocol, TypeVar
 
-from fastapi import APIRouter, Path, Request, Response
-from fastapi.concurrency import run_in_threadpool
+from fastapi import APIRouter, Path, Response
 from pydantic import BaseModel, TypeAdapter
 
 from service.api.access.auth import MAY_OPERATE, may_send
-from service.api.context import ApiContext, Context, EpochLimits, SpacecraftId
+from service.api.context import ApiContext, Context, PresentBounds, SpacecraftId
 from service.api.protocol.paging import Page, PageQuery, Position
-from service.api.protocol.requests import MergePatch, accepts, body_of, patched
+from service.api.protocol.requests import Body, MergePatch, patched
 from service.api.routes.measurements import check_batch_size
 from service.api.schemas import inputs as documents
 from service.api.schemas.base import Answer
@@ -37,15 +36,9 @@ R = TypeVar("R", bound=_Row)
 M = TypeVar("M", bound=BaseModel)
 
 
-@inputs_router.post(
-    "/attitude-references:batch",
-    dependencies=[may_send(DataKind.REFERENCES)],
-    openapi_extra=accepts(documents.ReferenceBatchDocument),
-)
+@inputs_router.post("/attitude-references:batch", dependencies=[may_send(DataKind.REFERENCES)])
 def send_references(
-    spacecraft_id: SpacecraftId,
-    body: Annotated[documents.ReferenceBatchDocument, body_of(documents.ReferenceBatchDocument)],
-    context: Context,
+    spacecraft_id: SpacecraftId, body: Body[documents.ReferenceBatchDocument], context: Context
 ) -> documents.InputReceiptAnswer:
     """Store attitude references of one sensor.
 
@@ -58,30 +51,18 @@ def send_references(
     return _append(spacecraft_id, context, body.references, lambda row: row.to_record(body.source))
 
 
-@inputs_router.post(
-    "/corrections:batch",
-    dependencies=[may_send(DataKind.CORRECTIONS)],
-    openapi_extra=accepts(documents.CorrectionBatchDocument),
-)
+@inputs_router.post("/corrections:batch", dependencies=[may_send(DataKind.CORRECTIONS)])
 def send_corrections(
-    spacecraft_id: SpacecraftId,
-    body: Annotated[documents.CorrectionBatchDocument, body_of(documents.CorrectionBatchDocument)],
-    context: Context,
+    spacecraft_id: SpacecraftId, body: Body[documents.CorrectionBatchDocument], context: Context
 ) -> documents.InputReceiptAnswer:
     """Store attitude changes that were commanded through other channels."""
     check_batch_size(len(body.corrections), context, "/corrections")
     return _append(spacecraft_id, context, body.corrections, lambda row: row.to_record())
 
 
-@inputs_router.post(
-    "/telemetry:batch",
-    dependencies=[may_send(DataKind.TELEMETRY)],
-    openapi_extra=accepts(documents.TelemetryBatchDocument),
-)
+@inputs_router.post("/telemetry:batch", dependencies=[may_send(DataKind.TELEMETRY)])
 def send_telemetry(
-    spacecraft_id: SpacecraftId,
-    body: Annotated[documents.TelemetryBatchDocument, body_of(documents.TelemetryBatchDocument)],
-    context: Context,
+    spacecraft_id: SpacecraftId, body: Body[documents.TelemetryBatchDocument], context: Context
 ) -> documents.InputReceiptAnswer:
     """Store on-board telemetry; a momentum beyond the catalogue's limit is refused, and alarms after three records."""
     check_batch_size(len(body.records), context, "/records")
@@ -97,14 +78,9 @@ def send_telemetry(
     return _append(spacecraft_id, context, body.records, lambda row: row.to_record(), fault)
 
 
-@inputs_router.post(
-    "/weather:batch", dependencies=[may_send(DataKind.WEATHER)], openapi_extra=accepts(documents.WeatherBatchDocument)
-)
-async def send_weather(
-    spacecraft_id: SpacecraftId,
-    body: Annotated[documents.WeatherBatchDocument, body_of(documents.WeatherBatchDocument)],
-    context: Context,
-    request: Request,
+@inputs_router.post("/weather:batch", dependencies=[may_send(DataKind.WEATHER)])
+def send_weather(
+    spacecraft_id: SpacecraftId, body: Body[documents.WeatherBatchDocument], context: Context, bounds: PresentBounds
 ) -> documents.InputReceiptAnswer:
     """Store reports of rain over uplink stations, which make "wet" likelier or less likely for their carriers.
 
@@ -112,21 +88,26 @@ async def send_weather(
     still counts as wet. A wrong report costs certainty, not truth: the powers decide.
     """
     check_batch_size(len(body.reports), context, "/reports")
-    limits: EpochLimits = request.app.state.epoch_limits
-    latest_us = (await limits.present(spacecraft_id)).latest_us
-    return await run_in_threadpool(_append_weather, spacecraft_id, context, body, latest_us)
+    carriers = context.storage.catalogue.plan(spacecraft_id).carriers
+    stations = {carrier.station.name for carrier in carriers if carrier.station and carrier.station.name}
+
+    def fault(row: documents.WeatherDocument) -> documents.Fault | None:
+        if row.station not in stations:
+            known = ", ".join(sorted(stations)) or "none has a name"
+            return "station.unknown", f"the newest carrier plan has no station {row.station!r}; it has: {known}"
+        if row.epoch > bounds.latest_us:
+            return "time.future", f"the epoch lies after {format_epoch(bounds.latest_us)}; a forecast is no report"
+        return row.fault()
+
+    return _append(spacecraft_id, context, body.reports, lambda row: row.to_record(body.source), fault)
 
 
-@inputs_router.post(
-    "/polarization:batch",
-    dependencies=[may_send(DataKind.POLARIZATION)],
-    openapi_extra=accepts(documents.PolarizationBatchDocument),
-)
-async def send_polarization(
+@inputs_router.post("/polarization:batch", dependencies=[may_send(DataKind.POLARIZATION)])
+def send_polarization(
     spacecraft_id: SpacecraftId,
-    body: Annotated[documents.PolarizationBatchDocument, body_of(documents.PolarizationBatchDocument)],
+    body: Body[documents.PolarizationBatchDocument],
     context: Context,
-    request: Request,
+    bounds: PresentBounds,
 ) -> documents.InputReceiptAnswer:
     """Store polarisation records of one polarimeter of the catalogue, which measure yaw.
 
@@ -134,9 +115,17 @@ async def send_polarization(
     tells nothing. Wrong angles are left out, and what they did is reported as `advice`.
     """
     check_batch_size(len(body.records), context, "/records")
-    limits: EpochLimits = request.app.state.epoch_limits
-    latest_us = (await limits.present(spacecraft_id)).latest_us
-    return await run_in_threadpool(_append_polarization, spacecraft_id, context, body, latest_us)
+    sources = sorted(each.source for each in context.storage.catalogue.spacecraft(spacecraft_id).polarimeters)
+
+    def fault(row: documents.PolarizationDocument) -> documents.Fault | None:
+        if body.source not in sources:
+            known = ", ".join(sources) or "none"
+            return "polarimeter.unknown", f"the catalogue states no polarimeter {body.source!r}; it states: {known}"
+        if row.epoch > bounds.latest_us:
+            return "time.future", f"the epoch lies after {format_epoch(bounds.latest_us)}"
+        return row.fault()
+
+    return _append(spacecraft_id, context, body.records, lambda row: row.to_record(body.source), fault)
 
 
 @inputs_router.get("/attitude-references")
@@ -169,41 +158,6 @@ def list_polarization(spacecraft_id: SpacecraftId, page: Page, context: Context)
     return input_page(
         spacecraft_id, "polarization", page, context, documents.PolarizationPage, documents.PolarizationAnswer
     )
-
-
-def _append_polarization(
-    spacecraft_id: str, context: ApiContext, body: documents.PolarizationBatchDocument, latest_us: int
-) -> documents.InputReceiptAnswer:
-    """Store the records of a polarimeter that the catalogue states."""
-    sources = sorted(each.source for each in context.storage.catalogue.spacecraft(spacecraft_id).polarimeters)
-
-    def fault(row: documents.PolarizationDocument) -> documents.Fault | None:
-        if body.source not in sources:
-            known = ", ".join(sources) or "none"
-            return "polarimeter.unknown", f"the catalogue states no polarimeter {body.source!r}; it states: {known}"
-        if row.epoch > latest_us:
-            return "time.future", f"the epoch lies after {format_epoch(latest_us)}"
-        return row.fault()
-
-    return _append(spacecraft_id, context, body.records, lambda row: row.to_record(body.source), fault)
-
-
-def _append_weather(
-    spacecraft_id: str, context: ApiContext, body: documents.WeatherBatchDocument, latest_us: int
-) -> documents.InputReceiptAnswer:
-    """Store the reports about stations of the newest plan; a forecast is no report."""
-    carriers = context.storage.catalogue.plan(spacecraft_id).carriers
-    stations = {carrier.station.name for carrier in carriers if carrier.station and carrier.station.name}
-
-    def fault(row: documents.WeatherDocument) -> documents.Fault | None:
-        if row.station not in stations:
-            known = ", ".join(sorted(stations)) or "none has a name"
-            return "station.unknown", f"the newest carrier plan has no station {row.station!r}; it has: {known}"
-        if row.epoch > latest_us:
-            return "time.future", f"the epoch lies after {format_epoch(latest_us)}; a forecast is no report"
-        return row.fault()
-
-    return _append(spacecraft_id, context, body.reports, lambda row: row.to_record(body.source), fault)
 
 
 def _append(
@@ -272,14 +226,9 @@ _ADAPTER = TypeAdapter(documents.OperationDocument)
 OperationId = Annotated[int, Path(ge=1, le=2**31 - 1)]
 
 
-@operations_router.post(
-    "", status_code=HTTPStatus.CREATED, dependencies=[MAY_OPERATE], openapi_extra=accepts(documents.OperationDocument)
-)
+@operations_router.post("", status_code=HTTPStatus.CREATED, dependencies=[MAY_OPERATE])
 def declare_operation(
-    spacecraft_id: SpacecraftId,
-    body: Annotated[documents.OperationDocument, body_of(documents.OperationDocument)],
-    context: Context,
-    response: Response,
+    spacecraft_id: SpacecraftId, body: Body[documents.OperationDocument], context: Context, response: Response
 ) -> documents.OperationAnswer:
     """Declare an operation, past, present or future."""
     stored = context.storage.archive.add_operation(spacecraft_id, body.to_record(0))
@@ -302,12 +251,9 @@ def get_operation(
     return documents.OperationAnswer.of(context.storage.archive.operation(spacecraft_id, operation_id))
 
 
-@operations_router.patch("/{operation_id}", dependencies=[MAY_OPERATE], openapi_extra=accepts(MergePatch))
+@operations_router.patch("/{operation_id}", dependencies=[MAY_OPERATE])
 def change_operation(
-    spacecraft_id: SpacecraftId,
-    operation_id: OperationId,
-    body: Annotated[MergePatch, body_of(MergePatch)],
-    context: Context,
+    spacecraft_id: SpacecraftId, operation_id: OperationId, body: Body[MergePatch], context: Context
 ) -> documents.OperationAnswer:
     """Change fields of an operation; the change is a new revision, the former ones stay in the journal."""
     stored = documents.OperationAnswer.of(context.storage.archive.operation(spacecraft_id, operation_id))

@@ -7,10 +7,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from fastapi import APIRouter, Path, Query, Request, Response
 from pydantic import TypeAdapter
-from starlette.concurrency import run_in_threadpool
 from starlette.responses import JSONResponse
 
-from service.api.access.auth import Principal, may_send
+from service.api.access.auth import CurrentPrincipal, Principal, may_send
 from service.api.context import (
     ApiContext,
     CommitWaiter,
@@ -18,6 +17,7 @@ from service.api.context import (
     EpochLimits,
     Names,
     PlanWidths,
+    PresentBounds,
     SpacecraftId,
     SpacecraftIdText,
     checked_spacecraft_id,
@@ -26,7 +26,7 @@ from service.api.monitoring.access_log import RequestMetrics
 from service.api.problems.next_steps import NEXT_STEPS
 from service.api.problems.problems import RequestProblemError, invalid_request
 from service.api.protocol.paging import EpochTextError, Page, ParsedEpochs, by_epoch, parse_epochs, path_epoch
-from service.api.protocol.requests import accepts, body_of, read_body
+from service.api.protocol.requests import Body, accepts, read_body
 from service.api.schemas import measurements as documents
 from service.api.schemas.base import NAME_PATTERN
 from service.errors import FieldError, source_not_yours
@@ -199,17 +199,16 @@ SourceParameter = Annotated[str | None, Query(pattern=NAME_PATTERN, description=
 SweepParameter = Annotated[str | None, Query(pattern=NAME_PATTERN, description="Only traces of this sweep")]
 
 
-@traces_router.post("", dependencies=[may_send(DataKind.POWERS)], openapi_extra=accepts(documents.TraceBatchDocument))
-async def send_traces(
+@traces_router.post("", dependencies=[may_send(DataKind.POWERS)])
+def send_traces(
     spacecraft_id: SpacecraftId,
-    body: Annotated[documents.TraceBatchDocument, body_of(documents.TraceBatchDocument)],
+    body: Body[documents.TraceBatchDocument],
     context: Context,
-    request: Request,
+    bounds: PresentBounds,
+    principal: CurrentPrincipal,
 ) -> documents.TraceReceiptAnswer:
     """Keep traces of one source; the oldest ones of the source make place."""
-    limits: EpochLimits = request.app.state.epoch_limits
-    bounds = await limits.present(spacecraft_id)
-    await run_in_threadpool(_require_own, context, spacecraft_id, body.source, request.state.principal)
+    _require_own(context, spacecraft_id, body.source, principal)
     faults = [_fault(trace, bounds) for trace in body.traces]
     kept = [trace.to_record() for trace, fault in zip(body.traces, faults, strict=True) if fault is None]
     refused = [
@@ -217,7 +216,7 @@ async def send_traces(
     ]
     ring = Ring(context.limits.evidence_traces, context.limits.evidence_bytes)
     now_us = context.clock.system_us()
-    receipt = await run_in_threadpool(context.storage.traces.append, spacecraft_id, body.source, kept, now_us, ring)
+    receipt = context.storage.traces.append(spacecraft_id, body.source, kept, now_us, ring)
     return documents.TraceReceiptAnswer.of(receipt, refused)
 
 

@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass
 from functools import partial
 from http import HTTPStatus
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Depends, Path, Query, Response
 
@@ -15,7 +15,7 @@ from service.api.access.auth import MAY_OPERATE, MAY_SEND, CurrentPrincipal, Per
 from service.api.context import SPACECRAFT_ID_PATTERN, ApiContext, Context, SpacecraftId
 from service.api.problems.problems import invalid_request
 from service.api.protocol.paging import Page
-from service.api.protocol.requests import accepts, body_of, optional_body
+from service.api.protocol.requests import Body, OptionalBody
 from service.api.schemas import shift as documents
 from service.api.schemas.base import NAME_PATTERN
 from service.api.views.present import alarm_answer, handover_of, link_answers
@@ -27,12 +27,7 @@ from service.runtime.control.release_service import ReleaseService
 TAG = "control"
 
 
-def accepts_comment() -> dict[str, Any]:
-    """Return the OpenAPI description of an optional comment."""
-    return accepts(documents.RemarkDocument, is_required=False)
-
-
-Said = Annotated[documents.RemarkDocument, optional_body(documents.RemarkDocument)]
+Said = OptionalBody[documents.RemarkDocument]
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,12 +84,9 @@ def get_alarm_limits(spacecraft_id: SpacecraftId, context: Context, version: Ver
     return documents.LimitsAnswer.of(context.storage.alarms.limits(spacecraft_id, version))
 
 
-@alarm_limits_router.put("", dependencies=[MAY_OPERATE], openapi_extra=accepts(documents.LimitsDocument))
+@alarm_limits_router.put("", dependencies=[MAY_OPERATE])
 def put_alarm_limits(
-    spacecraft_id: SpacecraftId,
-    body: Annotated[documents.LimitsDocument, body_of(documents.LimitsDocument)],
-    context: Context,
-    principal: CurrentPrincipal,
+    spacecraft_id: SpacecraftId, body: Body[documents.LimitsDocument], context: Context, principal: CurrentPrincipal
 ) -> documents.LimitsAnswer:
     """State limits in place of the newest version; former versions are kept."""
     context.storage.catalogue.spacecraft(spacecraft_id)
@@ -147,7 +139,7 @@ def get_alarm(alarm_id: AlarmId, context: Context) -> documents.AlarmHistoryAnsw
     return documents.AlarmHistoryAnswer(alarm=_reported(context, alarm), changes=changes)
 
 
-@alarms_router.post("/{alarm_id}:acknowledge", dependencies=[MAY_OPERATE], openapi_extra=accepts_comment())
+@alarms_router.post("/{alarm_id}:acknowledge", dependencies=[MAY_OPERATE])
 def acknowledge_alarm(
     alarm_id: AlarmId, body: Said, context: Context, principal: CurrentPrincipal
 ) -> documents.AlarmAnswer:
@@ -155,18 +147,15 @@ def acknowledge_alarm(
     return _reported(context, context.alarms.acknowledge(alarm_id, principal.name, body.comment))
 
 
-@alarms_router.post("/{alarm_id}:shelve", dependencies=[MAY_OPERATE], openapi_extra=accepts(documents.ShelveDocument))
+@alarms_router.post("/{alarm_id}:shelve", dependencies=[MAY_OPERATE])
 def shelve_alarm(
-    alarm_id: AlarmId,
-    body: Annotated[documents.ShelveDocument, body_of(documents.ShelveDocument)],
-    context: Context,
-    principal: CurrentPrincipal,
+    alarm_id: AlarmId, body: Body[documents.ShelveDocument], context: Context, principal: CurrentPrincipal
 ) -> documents.AlarmAnswer:
     """Keep the alarm quiet until an instant, at most 24 h ahead."""
     return _reported(context, context.alarms.shelve(alarm_id, principal.name, body.comment, body.until))
 
 
-@alarms_router.post("/{alarm_id}:unshelve", dependencies=[MAY_OPERATE], openapi_extra=accepts_comment())
+@alarms_router.post("/{alarm_id}:unshelve", dependencies=[MAY_OPERATE])
 def unshelve_alarm(
     alarm_id: AlarmId, body: Said, context: Context, principal: CurrentPrincipal
 ) -> documents.AlarmAnswer:
@@ -174,7 +163,7 @@ def unshelve_alarm(
     return _reported(context, context.alarms.unshelve(alarm_id, principal.name, body.comment))
 
 
-@alarms_router.post("/{alarm_id}:clear", dependencies=[MAY_OPERATE], openapi_extra=accepts_comment())
+@alarms_router.post("/{alarm_id}:clear", dependencies=[MAY_OPERATE])
 def clear_alarm(alarm_id: AlarmId, body: Said, context: Context, principal: CurrentPrincipal) -> documents.AlarmAnswer:
     """Close the alarm; a condition that still holds alarms again after its delay."""
     return _reported(context, context.alarms.clear(alarm_id, principal.name, body.comment))
@@ -205,10 +194,8 @@ LinksOfSpacecraft = Annotated[
 report_router = APIRouter(tags=["links"])
 
 
-@report_router.post("/links:report", dependencies=[MAY_SEND], openapi_extra=accepts(documents.LinkReportsDocument))
-def report_links(
-    body: Annotated[documents.LinkReportsDocument, body_of(documents.LinkReportsDocument)], context: Context
-) -> documents.LinkWishesAnswer:
+@report_router.post("/links:report", dependencies=[MAY_SEND])
+def report_links(body: Body[documents.LinkReportsDocument], context: Context) -> documents.LinkWishesAnswer:
     """Store the reports of a front end and return the requested state of its links."""
     states = context.storage.links.report([each.to_record() for each in body.links], context.clock.system_us())
     requests = [
@@ -274,14 +261,9 @@ NotesOfSpacecraft = Annotated[
 ]
 
 
-@notes_router.post(
-    "", status_code=HTTPStatus.CREATED, dependencies=[MAY_OPERATE], openapi_extra=accepts(documents.NoteDocument)
-)
+@notes_router.post("", status_code=HTTPStatus.CREATED, dependencies=[MAY_OPERATE])
 def write_note(
-    body: Annotated[documents.NoteDocument, body_of(documents.NoteDocument)],
-    context: Context,
-    principal: CurrentPrincipal,
-    response: Response,
+    body: Body[documents.NoteDocument], context: Context, principal: CurrentPrincipal, response: Response
 ) -> documents.NoteAnswer:
     """Write a note."""
     now_us = context.clock.system_us()

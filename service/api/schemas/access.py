@@ -164,10 +164,8 @@ class NewKeyAnswer(Answer):
     expires_at: EpochAnswer | None
 
 
-class KeyList(RowList):
+class KeyList(RowList[KeyAnswer]):
     """Keys in order of creation."""
-
-    rows: list[KeyAnswer]
 
 
 class SessionDocument(Document):

@@ -5,7 +5,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import cache
 from operator import attrgetter
 from types import MappingProxyType
-from typing import Annotated, Any, Self, TypeVar
+from typing import Annotated, Any, Generic, Self, TypeVar
 
 from pydantic import (
     AfterValidator,
@@ -176,18 +176,21 @@ class WindowAnswer(Answer):
     stop: EpochAnswer
 
 
-class RowList(Answer):
-    """All rows of one kind; a subclass states the type of its rows."""
+Row = TypeVar("Row")
 
-    rows: list[Any]
+
+class RowList(Answer, Generic[Row]):
+    """All rows of one kind."""
+
+    rows: list[Row]
     next: str | None = None
 
 
-class RowPage(Answer):
-    """One page of rows that stand in a range; a subclass states the type of its rows."""
+class RowPage(Answer, Generic[Row]):
+    """One page of rows that stand in a range."""
 
     range: WindowAnswer
-    rows: list[Any]
+    rows: list[Row]
     next: str | None
 
 

@@ -214,10 +214,8 @@ class CalibrationAnswer(members_of(records.Calibration, without=("request", "res
         )
 
 
-class CalibrationList(RowList):
+class CalibrationList(RowList[CalibrationAnswer]):
     """Calibrations, newest first."""
-
-    rows: list[CalibrationAnswer]
 
 
 def _worst(checks: tuple[records.PolarimeterCheck, ...]) -> str:
@@ -362,10 +360,8 @@ class AlignmentMadeAnswer(AlignmentAnswer):
     them; a replay with this alignment (order epoch) computes them again beside the stored ones."""
 
 
-class AlignmentList(RowList):
+class AlignmentList(RowList[AlignmentAnswer]):
     """Alignments, newest first."""
-
-    rows: list[AlignmentAnswer]
 
 
 def _listed(names: set[str] | frozenset[str]) -> str:
@@ -468,7 +464,5 @@ class ReplayAnswer(
         return super().of(found.replay, job=found.replay.job_id, **became)
 
 
-class ReplayPage(RowPage):
+class ReplayPage(RowPage[ReplayAnswer]):
     """One page of replays."""
-
-    rows: list[ReplayAnswer]

@@ -462,10 +462,8 @@ class CommandAnswer(
         )
 
 
-class CommandPage(RowPage):
+class CommandPage(RowPage[CommandAnswer]):
     """Commands in order of their preparation."""
-
-    rows: list[CommandAnswer]
 
 
 class UplinkAnswer(members_of(UplinkProduct, types={"digest": str | None, "schedule": PulseAnswer}), Answer):

@@ -282,34 +282,24 @@ class PolarizationAnswer(members_of(PolarizationRecord), Answer):
     """A stored polarisation record."""
 
 
-class ReferencePage(RowPage):
+class ReferencePage(RowPage[ReferenceAnswer]):
     """References in order of epoch."""
 
-    rows: list[ReferenceAnswer]
 
-
-class CorrectionPage(RowPage):
+class CorrectionPage(RowPage[CorrectionAnswer]):
     """Corrections in order of start."""
 
-    rows: list[CorrectionAnswer]
 
-
-class TelemetryPage(RowPage):
+class TelemetryPage(RowPage[TelemetryAnswer]):
     """Telemetry in order of epoch."""
 
-    rows: list[TelemetryAnswer]
 
-
-class WeatherPage(RowPage):
+class WeatherPage(RowPage[WeatherAnswer]):
     """Weather reports in order of epoch."""
 
-    rows: list[WeatherAnswer]
 
-
-class PolarizationPage(RowPage):
+class PolarizationPage(RowPage[PolarizationAnswer]):
     """Polarisation records in order of epoch."""
-
-    rows: list[PolarizationAnswer]
 
 
 OperationKind = Literal[
@@ -368,7 +358,5 @@ class OperationAnswer(members_of(Operation, first=("id", "revision")), Answer):
     """A stored operation."""
 
 
-class OperationPage(RowPage):
+class OperationPage(RowPage[OperationAnswer]):
     """Operations that overlap the range, in order of start."""
-
-    rows: list[OperationAnswer]

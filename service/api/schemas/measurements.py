@@ -104,10 +104,8 @@ class MeasurementAnswer(Answer):
         )
 
 
-class MeasurementPage(RowPage):
+class MeasurementPage(RowPage[MeasurementAnswer]):
     """Rows in order of epoch."""
-
-    rows: list[MeasurementAnswer]
 
 
 class CarrierStateAnswer(members_of(CarrierState), Answer):
@@ -238,10 +236,8 @@ class SourceAnswer(
     """A front end that sends measurements; only the prime one feeds the estimator."""
 
 
-class SourceListAnswer(RowList):
+class SourceListAnswer(RowList[SourceAnswer]):
     """All sources of a spacecraft."""
-
-    rows: list[SourceAnswer]
 
 
 MAX_POINTS = 100_001
@@ -323,10 +319,8 @@ class TraceAnswer(TraceHeadAnswer):
         return cls.model_validate({**head, "power_dbm": shortest_float32(trace.power_dbm)})
 
 
-class TracePage(RowPage):
+class TracePage(RowPage[TraceHeadAnswer]):
     """Kept traces in order of epoch."""
-
-    rows: list[TraceHeadAnswer]
 
 
 class CarrierResultAnswer(Answer):
@@ -362,10 +356,9 @@ class CarrierResultAnswer(Answer):
         return cls.model_validate({"epoch": row.epoch_us, "reason": reason, **known})
 
 
-class CarrierResultPage(RowPage):
+class CarrierResultPage(RowPage[CarrierResultAnswer]):
     """Rows in order of epoch, exactly one a measurement and method."""
 
     carrier: str
     method: Method
     version: str
-    rows: list[CarrierResultAnswer]

@@ -138,10 +138,8 @@ class AlarmChangeAnswer(Answer):
         )
 
 
-class AlarmPage(RowPage):
+class AlarmPage(RowPage[AlarmAnswer]):
     """One page of alarms."""
-
-    rows: list[AlarmAnswer]
 
 
 class AlarmHistoryAnswer(Answer):
@@ -380,10 +378,8 @@ class NoteAnswer(members_of(records.Note), Answer):
     """A note."""
 
 
-class NotePage(RowPage):
+class NotePage(RowPage[NoteAnswer]):
     """One page of notes."""
-
-    rows: list[NoteAnswer]
 
 
 class StatusLinkAnswer(Answer):

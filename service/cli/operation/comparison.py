@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 _LIVE = "live"
 
 
+@connection.on_service
 def compare(
+    client: "ServiceClient",
     first: Annotated[str, typer.Argument(help="Version: `live`, or `replay-1` and so on.")],
     second: Annotated[str, typer.Argument(help="The other version; differences are this one minus the first.")],
     spacecraft: connection.SpacecraftOption,
@@ -27,8 +29,6 @@ def compare(
     stop: Annotated[str | None, typer.Option(help="To here, exclusive; default: where the first span ends.")] = None,
     method: Annotated[str, typer.Option(help="`robust` or `paper`.")] = "robust",
     figure: Annotated[Path | None, typer.Option(help="Draw the differences into this PNG or SVG file.")] = None,
-    service: connection.ServiceUrl = connection.DEFAULT_SERVICE,
-    key_env: connection.KeyEnvironment = connection.DEFAULT_KEY_ENVIRONMENT,
     as_json: connection.JsonOption = False,
 ) -> None:
     """Compare the attitude of two versions row by row."""
@@ -39,14 +39,9 @@ def compare(
     # numpy costs more than the command line itself
     from service.cli.operation.version_comparison import compared, document_of, draw_comparison, rows_of
 
-    with connection.connected(service, key_env) as client:
-        span = _span(client, spacecraft, (first, second), start, stop)
-        found = compared(
-            *(
-                rows_of(one, client.attitude_history(spacecraft, *span, method=method, version=one))
-                for one in (first, second)
-            )
-        )
+    span = _span(client, spacecraft, (first, second), start, stop)
+    histories = (client.attitude_history(spacecraft, *span, method=method, version=one) for one in (first, second))
+    found = compared(*map(rows_of, (first, second), histories))
     named = f"{spacecraft}, {method}: {second} minus {first}, {span[0]} to {span[1]}"
     if not len(found.in_first):
         counts = [len(found.first.names), len(found.second.names)]

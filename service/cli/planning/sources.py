@@ -7,56 +7,93 @@ to it what they show.
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import typer
 
+from service.api.problems.problems import RequestProblemError
 from service.api.schemas.calibrations import CarrierHarmonicAnswer
 from service.api.schemas.carrier_selection import CarrierSelectionAnswer, Turns
-from service.cli.importing.catalogue import carrier_names, read_orbit
+from service.cli.importing.catalogue import carrier_names, read_orbit, read_plan, read_spacecraft
 from service.cli.importing.folder import table_of
-from service.cli.importing.manifest import NAME, read_manifest
+from service.cli.importing.manifest import NAME, WindowSection, read_manifest
 from service.client.service_client import ServiceClient
+from service.core.estimation.attitude_bound import WheelStatistics
 from service.core.geometry.frames import AntennaDirection, station_direction
 from service.errors import InvalidInputError
 from service.formats.foreign.columns import PowersStatement, grouped, interpret_powers
 from service.formats.foreign.table import Container, ForeignTableError, read_table
 from service.pipeline.calibration.geometry_rows import CalibrationError
+from service.pipeline.calibration.minute_rows import MinuteRows, minute_rows
 from service.pipeline.config import CalibrationConfig, InterlockConfig
 from service.pipeline.inputs.catalogue_checks import contradiction_of
 from service.pipeline.planning import quiet_days
-from service.pipeline.planning.assumed_beams import AssumedPayload, offered_sites
-from service.pipeline.planning.planning import Candidates, Recommendation, Rule, candidates_of, recommend
+from service.pipeline.planning.assumed_beams import (
+    NOISES,
+    AssumedBeam,
+    AssumedPayload,
+    ContourPoint,
+    assume_payload,
+    contour_beams,
+    offered_sites,
+)
+from service.pipeline.planning.planning import (
+    WHEEL_PERIOD_S,
+    Candidates,
+    Recommendation,
+    Rule,
+    candidates_of,
+    recommend,
+    stated_wheels,
+)
 from service.pipeline.planning.rehearsal import Rehearsal, rehearse
 from service.records.catalogue import CarrierPlan, Spacecraft
 from service.records.epoch import US_PER_S, format_epoch
 from service.records.levels.attitude import BoolArray, FloatArray, named_axes
 from service.records.levels.measurement import MeasurementSeries
+from service.runtime.clock import system_now_us
 from service.runtime.jobs.analysis import CarrierRecommendation, wanted_count
-
-if TYPE_CHECKING:
-    from service.cli.importing.manifest import WindowSection
-    from service.core.estimation.attitude_bound import WheelStatistics
-    from service.pipeline.calibration.minute_rows import MinuteRows
-    from service.pipeline.planning.assumed_beams import ContourPoint
-
 
 #: share of unreadable rows beyond which a file is refused, longest gap that is no remark, s
 _MOST_UNREADABLE, _GAP_S = 0.01, 1800.0
 _CONTOUR_COLUMNS = ("transponder", "latitude_deg", "longitude_deg", "gain_db")
 
 
+@dataclass(frozen=True, slots=True)
+class PlanRequest:
+    """Request for a carrier selection, to an archive or to a service."""
+
+    #: None: sixteen, or all when there are fewer
+    count: int | None
+    rule: str
+    far_yaw: bool
+    #: momentum along pitch and noise of a record, N m s, and time between records, s; None: those of the catalogue
+    wheels_n_m_s: float | None = None
+    wheel_sigma_n_m_s: float | None = None
+    wheel_period_s: float | None = None
+
+    @property
+    def turns(self) -> str:
+        """Which turns the answer carries."""
+        return "far_yaw" if self.far_yaw else "standard"
+
+    def wheels(self, spacecraft: Spacecraft) -> WheelStatistics | None:
+        """Return the wheels that the request or the spacecraft states."""
+        figures = self.wheels_n_m_s, self.wheel_sigma_n_m_s
+        return stated_wheels(spacecraft.onboard.momentum, *figures, self.wheel_period_s or WHEEL_PERIOD_S)
+
+
 class QuietPowers(NamedTuple):
     """Powers of a file, and remarks on it."""
 
-    rows: "MinuteRows"
+    rows: MinuteRows
     notes: tuple[str, ...]
 
 
-def read_powers(path: Path, plan: "CarrierPlan") -> QuietPowers:
+def read_powers(path: Path, plan: CarrierPlan) -> QuietPowers:
     """Return the rows of a file in order of epoch.
 
     Raises
@@ -64,9 +101,6 @@ def read_powers(path: Path, plan: "CarrierPlan") -> QuietPowers:
     InvalidInputError
         ``plan.quiet``: the file cannot be read, holds no carrier, several sources, or rows that mean nothing.
     """
-    from service.pipeline.calibration.minute_rows import minute_rows
-    from service.runtime.clock import system_now_us
-
     carriers = carrier_names([{"id": each.id, "name": each.name} for each in plan.carriers])
     try:
         stated, quiet = _stated(path)
@@ -115,7 +149,7 @@ def _gaps(series: MeasurementSeries) -> tuple[str, ...]:
     return (f"{len(long)} gaps beyond half an hour, {longest}",)
 
 
-def _stated(path: Path) -> "tuple[PowersStatement, WindowSection | None]":
+def _stated(path: Path) -> tuple[PowersStatement, WindowSection | None]:
     """Return what the manifest of a file's folder states of it, and the quiet window."""
     if (path.parent / NAME).exists():
         manifest = read_manifest(path.parent)
@@ -125,7 +159,7 @@ def _stated(path: Path) -> "tuple[PowersStatement, WindowSection | None]":
     return PowersStatement(file=path.name), None
 
 
-def read_contours(path: Path) -> "list[ContourPoint]":
+def read_contours(path: Path) -> list[ContourPoint]:
     """Return the points of a contour file.
 
     Raises
@@ -133,8 +167,6 @@ def read_contours(path: Path) -> "list[ContourPoint]":
     InvalidInputError
         ``plan.contours``: it cannot be read, or a cell means nothing.
     """
-    from service.pipeline.planning.assumed_beams import ContourPoint
-
     points = []
     try:
         table = read_table(path, Container())
@@ -173,7 +205,11 @@ class QuietPlanning(NamedTuple):
 
 
 def planned_by_quiet_days(
-    spacecraft: Spacecraft, payload: AssumedPayload, plan: CarrierPlan, files: tuple[Path, Path | None], request: Any
+    spacecraft: Spacecraft,
+    payload: AssumedPayload,
+    plan: CarrierPlan,
+    files: tuple[Path, Path | None],
+    request: PlanRequest,
 ) -> QuietPlanning:
     """Return the recommendation for the noise of quiet days and stated or assumed beams.
 
@@ -215,9 +251,7 @@ def planned_by_quiet_days(
     notes = (*payload.assumptions, *powers.notes, *(() if orbit_path else (_NO_ORBIT,)))
     if suspected:
         notes += (_turns_note(suspected),)
-    found = CarrierRecommendation(None, None, count, recommendation, notes)
-    found = found.with_motion(spacecraft, request.wheels(spacecraft))
-    document = json.loads(CarrierSelectionAnswer.of(found, Turns(request.turns)).model_dump_json())
+    document = _document(CarrierRecommendation(None, None, count, recommendation, notes), request, spacecraft)
     document["quiet"] = {
         "file": quiet_path.name,
         "rows": len(epochs_us),
@@ -327,32 +361,6 @@ _BEAM_FORM = "[TRANSPONDER=]AZ,EL,WIDTH[,WIDTH_EL] in deg"
 
 
 @dataclass(frozen=True, slots=True)
-class PlanRequest:
-    """Request for a carrier selection, to an archive or to a service."""
-
-    #: None: sixteen, or all when there are fewer
-    count: int | None
-    rule: str
-    far_yaw: bool
-    #: momentum along pitch and noise of a record, N m s, and time between records, s; None: those of the catalogue
-    wheels_n_m_s: float | None = None
-    wheel_sigma_n_m_s: float | None = None
-    wheel_period_s: float | None = None
-
-    @property
-    def turns(self) -> str:
-        """Which turns the answer carries."""
-        return "far_yaw" if self.far_yaw else "standard"
-
-    def wheels(self, spacecraft: Spacecraft) -> "WheelStatistics | None":
-        """Return the wheels that the request or the spacecraft states."""
-        from service.pipeline.planning.planning import WHEEL_PERIOD_S, stated_wheels
-
-        figures = self.wheels_n_m_s, self.wheel_sigma_n_m_s
-        return stated_wheels(spacecraft.onboard.momentum, *figures, self.wheel_period_s or WHEEL_PERIOD_S)
-
-
-@dataclass(frozen=True, slots=True)
 class PlanFiles:
     """Files to plan by without a service."""
 
@@ -370,20 +378,13 @@ class CarrierPlanning(NamedTuple):
     document: dict[str, Any]
     direction: AntennaDirection
     #: of quiet days
-    rehearsal: "Rehearsal | None" = None
+    rehearsal: Rehearsal | None = None
 
 
 def planned_by_service(client: ServiceClient, spacecraft_id: str, request: PlanRequest) -> CarrierPlanning:
     """Return the recommendation of a service by its calibration."""
     spacecraft = client.spacecraft(spacecraft_id)
-    wanted = {
-        "count": request.count,
-        "rule": request.rule,
-        "turns": request.turns,
-        "wheels_n_m_s": request.wheels_n_m_s,
-        "wheel_sigma_n_m_s": request.wheel_sigma_n_m_s,
-        "wheel_period_s": request.wheel_period_s,
-    }
+    wanted = asdict(request) | {"far_yaw": None, "turns": request.turns}
     stated = {name: value for name, value in wanted.items() if value is not None}
     document = client.request("GET", f"/spacecraft/{spacecraft_id}/carrier-selection", params=stated)
     stations = {carrier["id"]: carrier.get("station") for carrier in client.carriers(spacecraft_id)["carriers"]}
@@ -401,12 +402,6 @@ def planned_by_files(files: PlanFiles, beams: list[str], noise: str, request: Pl
     ValueError
         Contours of another region.
     """
-    # web framework and validation cost a quarter of a second that other commands need not pay
-    from service.api.problems.problems import RequestProblemError
-    from service.cli.importing.catalogue import read_plan, read_spacecraft
-    from service.pipeline.planning.assumed_beams import NOISES, assume_payload
-    from service.records.catalogue import CarrierPlan
-
     stated = dict(_beam(text) for text in beams)
     try:
         with _of_file(files.spacecraft):
@@ -434,8 +429,6 @@ def _contour_beams(path: Path | None, carriers: Any, longitude_deg: float) -> di
     """Return the beams of a contour file, none without one."""
     if path is None:
         return {}
-    from service.pipeline.planning.assumed_beams import contour_beams
-
     return dict(contour_beams(read_contours(path), carriers, longitude_deg))
 
 
@@ -450,24 +443,21 @@ def _require_known(beams: dict[str, Any], carriers: Any) -> None:
 
 def _assumed_document(payload: Any, request: PlanRequest, spacecraft: Spacecraft) -> dict[str, Any]:
     """Return the document of carriers with assumed beams and noise."""
-    from service.api.schemas.carrier_selection import CarrierSelectionAnswer, Turns
-    from service.pipeline.planning.assumed_beams import offered_sites
-    from service.pipeline.planning.planning import Rule, recommend
-    from service.runtime.jobs.analysis import CarrierRecommendation, wanted_count
-
     count = wanted_count(payload.candidates, request.count, "the carrier plan")
     offered = offered_sites(payload, payload.candidates)
     recommendation = recommend(payload.candidates, count, Rule(request.rule), offered=offered)
-    found = CarrierRecommendation(None, None, count, recommendation, payload.assumptions)
-    found = found.with_motion(spacecraft, request.wheels(spacecraft))
-    document: dict[str, Any] = json.loads(CarrierSelectionAnswer.of(found, Turns(request.turns)).model_dump_json())
+    return _document(CarrierRecommendation(None, None, count, recommendation, payload.assumptions), request, spacecraft)
+
+
+def _document(found: CarrierRecommendation, request: PlanRequest, spacecraft: Spacecraft) -> dict[str, Any]:
+    """Return the document of ``GET .../carrier-selection``."""
+    answer = CarrierSelectionAnswer.of(found.with_motion(spacecraft, request.wheels(spacecraft)), Turns(request.turns))
+    document: dict[str, Any] = json.loads(answer.model_dump_json())
     return document
 
 
 def _beam(text: str) -> tuple[str, Any]:
     """Return the transponder, ``*`` for all, and the beam that an option states."""
-    from service.pipeline.planning.assumed_beams import AssumedBeam
-
     name, equals, figures = text.rpartition("=")
     try:
         values = [float(figure) for figure in figures.split(",")]
@@ -482,8 +472,6 @@ def _beam(text: str) -> tuple[str, Any]:
 @contextmanager
 def _of_file(path: Path) -> Iterator[None]:
     """Name the file in what is raised within."""
-    from service.formats.foreign.table import ForeignTableError
-
     try:
         yield
     except ForeignTableError as error:

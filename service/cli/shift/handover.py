@@ -40,27 +40,26 @@ def handover(
     _deliver(_written(lambda: page(title, handover_sections(found, row, control), format_)), output)
 
 
+@connection.on_service
 def report(
+    client: "ServiceClient",
     span: Annotated[Literal["day", "shift"], typer.Argument(help="day: 24 h, shift: 8 h.")],
     spacecraft: connection.SpacecraftOption,
     format_: Format = "html",
     output: Output = None,
-    service: connection.ServiceUrl = connection.DEFAULT_SERVICE,
-    key_env: connection.KeyEnvironment = connection.DEFAULT_KEY_ENVIRONMENT,
 ) -> None:
     """Write a report of the last day or shift with figures, then the hand-over."""
     require("matplotlib")
     # numpy and matplotlib cost more than the command line itself
     from service.cli.shift.day import drawn, figures, happened, samples_of
 
-    with connection.connected(service, key_env) as client:
-        found = client.request("GET", f"/spacecraft/{spacecraft}/handover")
-        row, control = Json(client.attitude(spacecraft)), Json(client.control(spacecraft))
-        stop_us = parse_epoch(found["at"]) + 1
-        window = {"start": format_epoch(stop_us - _HOURS[span] * 3600 * US_PER_S), "stop": format_epoch(stop_us)}
-        wanted = window | {"method": found["control"]["method"]}
-        samples = samples_of(client, spacecraft, wanted)
-        timeline = client.request("GET", f"/spacecraft/{spacecraft}/timeline", params=wanted)
+    found = client.request("GET", f"/spacecraft/{spacecraft}/handover")
+    row, control = Json(client.attitude(spacecraft)), Json(client.control(spacecraft))
+    stop_us = parse_epoch(found["at"]) + 1
+    window = {"start": format_epoch(stop_us - _HOURS[span] * 3600 * US_PER_S), "stop": format_epoch(stop_us)}
+    wanted = window | {"method": found["control"]["method"]}
+    samples = samples_of(client, spacecraft, wanted)
+    timeline = client.request("GET", f"/spacecraft/{spacecraft}/timeline", params=wanted)
     title = f"{spacecraft}, {utc(window['start'])} – {utc(window['stop'])} UTC"
 
     def made() -> str:

@@ -5,9 +5,8 @@ that were given up: a row that is there already takes none, and a number that is
 """
 
 import json
-import sqlite3
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from enum import Enum
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -29,6 +28,18 @@ _SELECT_ROWS = (
     f"SELECT seq, epoch_us, task_key, {_ARRAYS} FROM measured "  # noqa: S608 own names
     "WHERE seq >= ? AND epoch_us NOT IN (SELECT epoch_us FROM gone) ORDER BY seq LIMIT ?"
 )
+_TRACE_COLUMNS = "epoch_us, sweep, start_hz, step_hz, rbw_hz, enbw_hz, sweep_time_s, power_dbm"
+_INSERT_TRACE = f"INSERT OR IGNORE INTO trace ({_TRACE_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?, ?)"  # noqa: S608 own names
+_SELECT_TRACES = f"SELECT trace_key, {_TRACE_COLUMNS} FROM trace ORDER BY trace_key LIMIT ?"  # noqa: S608 own names
+#: of all but the newest traces, as many and as large as may be kept
+_DELETE_TRACES = """
+DELETE FROM trace WHERE trace_key IN (
+    SELECT trace_key FROM (
+        SELECT trace_key, row_number() OVER newest AS place, sum(length(power_dbm)) OVER newest AS size_bytes
+        FROM trace WINDOW newest AS (ORDER BY trace_key DESC)
+    ) WHERE place > ? OR size_bytes > ?
+)
+"""
 #: rows looked at at once when room is made
 _CHUNK = 256
 
@@ -110,7 +121,6 @@ class SpoolFile:
                 for key, sha256, ids in self.connection.execute("SELECT task_key, sha256, carrier_ids FROM task")
             }
             self.waiting, self.rows_bytes = self._one("SELECT count(*), coalesce(sum(size_bytes), 0) FROM measured")
-            self.traces = spool_row.TraceRing(self.connection)
         except BaseException:
             self.connection.close()
             raise
@@ -168,7 +178,9 @@ class SpoolFile:
             for row in rows:
                 self._insert(row)
             for trace in traces:
-                self.count("traces_dropped", self.traces.insert(trace, bounds.traces, bounds.traces_bytes))
+                self.connection.execute(_INSERT_TRACE, trace)
+                dropped_traces = self.connection.execute(_DELETE_TRACES, (bounds.traces, bounds.traces_bytes))
+                self.count("traces_dropped", dropped_traces.rowcount)
         return dropped
 
     def batch(self, lane: UploadLane, cutoff_us: int, limit: int) -> list[spool_row.SpooledRow]:
@@ -214,10 +226,19 @@ class SpoolFile:
         """Forget what was hidden."""
         self.connection.execute("DELETE FROM gone")
 
+    @property
+    def traces_waiting(self) -> int:
+        """Traces that the service has not taken."""
+        return self._one("SELECT count(*) FROM trace")[0]
+
+    def traces(self, limit: int) -> list[spool_row.SpooledTrace]:
+        """Return the oldest traces; they stay."""
+        return [spool_row.SpooledTrace(*columns) for columns in self.connection.execute(_SELECT_TRACES, (limit,))]
+
     def settle_traces(self, keys: Iterable[int]) -> None:
-        """Take traces off."""
+        """Take traces off; those that are gone already do not matter."""
         with self._atomic():
-            self.traces.delete(keys)
+            self.connection.executemany("DELETE FROM trace WHERE trace_key = ?", ((key,) for key in keys))
 
     def plan_of(self, task: spool_row.SpooledTask) -> int | None:
         """Return the carrier plan under which rows of a task were last sent."""
@@ -329,8 +350,6 @@ class SpoolFile:
                 yield
         except BaseException:
             self.waiting, self.rows_bytes, self._tasks = before
-            with suppress(sqlite3.Error):
-                self.traces.recount()
             raise
 
     def _one(self, query: str) -> tuple[int, ...]:

@@ -235,7 +235,7 @@ class Spool:
         """Return the oldest traces."""
         with self._changed:
             none: list[SpooledTrace] = []
-            return self._read(lambda file: file.traces.oldest(limit), none)
+            return self._read(lambda file: file.traces(limit), none)
 
     def settle_traces(self, traces: Iterable[SpooledTrace]) -> None:
         """Let traces go."""
@@ -278,7 +278,7 @@ class Spool:
     def traces_waiting(self) -> int:
         """Traces that the service has not taken."""
         with self._changed:
-            return self._disk.file.traces.waiting if self._disk.file else 0
+            return self._read(lambda file: file.traces_waiting, 0) if self._disk.file else 0
 
     @property
     def warnings(self) -> list[SpoolWarning]:

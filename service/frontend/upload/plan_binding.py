@@ -14,7 +14,6 @@ from service.client.problem import ProblemError
 from service.client.service_client import ServiceClient
 from service.core.arrays import FloatArray
 from service.frontend.acquisition.evaluation import MeasuredRow
-from service.frontend.spool.file import UploadLane
 from service.records.epoch import format_epoch
 from service.records.levels.measurement import QualityFlag
 
@@ -69,34 +68,6 @@ def judge(problem: ProblemError, rows: int) -> tuple[BatchAction, int]:
         return BatchAction.WITHOUT_DETAILS, 0
     positions = [int(parts[2]) for parts in at_rows if int(parts[2]) < rows]
     return (BatchAction.PARTED, min(positions)) if positions else (BatchAction.WAIT, 0)
-
-
-_OTHER = {UploadLane.LIVE: UploadLane.BACKFILL, UploadLane.BACKFILL: UploadLane.LIVE}
-
-
-class LaneRotation:
-    """Whose turn it is.
-
-    Examples
-    --------
-    >>> turns = LaneRotation()
-    >>> [lane.name for lane in turns.order()]
-    ['LIVE', 'BACKFILL']
-    >>> turns.served(UploadLane.LIVE)
-    >>> [lane.name for lane in turns.order()]
-    ['BACKFILL', 'LIVE']
-    """
-
-    def __init__(self) -> None:
-        self._next = UploadLane.LIVE
-
-    def order(self) -> tuple[UploadLane, UploadLane]:
-        """Return the lanes in the order in which they are looked into for rows."""
-        return self._next, _OTHER[self._next]
-
-    def served(self, lane: UploadLane) -> None:
-        """Note that a request of a lane has been answered for good."""
-        self._next = _OTHER[lane]
 
 
 #: decimals of a level on the wire, dB: far below the float32 that the archive keeps

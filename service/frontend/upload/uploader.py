@@ -233,7 +233,8 @@ class Uploader:
         self._spool = spool
         self._now_us = now_us
         self._backoff = backoff or Backoff()
-        self._turns = plan_binding.LaneRotation()
+        #: in the order in which they are looked into for rows: the one served last comes second
+        self._lanes = tuple(UploadLane)
         self._traces = TraceSender(client, settings.spacecraft_id, settings.source, spool, settings.batch_traces)
         self._batch_rows = settings.batch_rows
         #: rows of the next request, when a row at fault stands behind them
@@ -299,12 +300,11 @@ class Uploader:
     def _batch(self) -> tuple[UploadLane, list[SpooledRow]]:
         """Return the rows whose turn it is; they stay in the spool until they are settled."""
         cutoff_us = self._now_us() - round(self._settings.lateness_s * US_PER_S)
-        first, second = self._turns.order()
-        for lane in (first, second):
+        for lane in self._lanes:
             rows = self._spool.batch(lane, cutoff_us, self._part or self._batch_rows)
             if rows:
                 return lane, rows
-        return first, []
+        return self._lanes[0], []
 
     def _deliver(self, lane: UploadLane, rows: list[SpooledRow]) -> None:
         """Send one batch once; settle its rows or wait."""
@@ -314,7 +314,7 @@ class Uploader:
         except ServiceUnavailableError as error:
             self._fail(f"service does not answer: {error}", error.retry_after_s)
         except plan_binding.PlanMismatchError as error:
-            self._turns.served(lane)  # rows of another task may wait in the other lane
+            self._serve_other(lane)  # rows of another task may wait in the other lane
             self._fail(f"no carrier plan of {self._settings.spacecraft_id}: {error}", None)
         except ProblemError as problem:
             self._face(problem, lane, rows)
@@ -358,8 +358,12 @@ class Uploader:
         if self._is_resuming and not self._spool.waiting:
             self._is_resuming = False
             self._bindings.clear()
-        self._turns.served(lane)
+        self._serve_other(lane)
         self._part = None
+
+    def _serve_other(self, lane: UploadLane) -> None:
+        """Look into the other lane first."""
+        self._lanes = tuple(sorted(UploadLane, key=lambda each: each is lane))
 
     def _face(self, problem: ProblemError, lane: UploadLane, rows: list[SpooledRow]) -> None:
         """Act on a batch that was refused as a whole."""

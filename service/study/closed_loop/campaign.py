@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from pydantic import TypeAdapter
 
-from service.records.catalogue import Method
 from service.study.closed_loop.controllers import Sensing
 from service.study.closed_loop.run import PERCENTILES, FlownRun, GroupMerit, LoopResult, LoopUnit, fly_unit, group_merit
 from service.study.executors import WorkerChoice, do_work, executor_of
 
+_UNIT = TypeAdapter(LoopUnit)
 _ARRAYS = ("hours", "truth_deg", "estimate_deg", "is_inhibited", "is_faded")
 
 
@@ -46,19 +47,13 @@ def kept(folder: Path, unit: LoopUnit) -> LoopResult | None:
         return None
     with np.load(path) as stored:
         head = json.loads(str(stored["head"]))
-        if _unit(head["unit"]) != unit:
+        if _UNIT.validate_python(head["unit"]) != unit:
             return None
         flight = None
         if head["flight"] is not None:
             rest = {name: tuple(value) if isinstance(value, list) else value for name, value in head["flight"].items()}
             flight = FlownRun(**{name: stored[name] for name in _ARRAYS}, **rest)  # type: ignore[arg-type]
     return LoopResult(unit, head["seconds"], head["refusal"], flight)
-
-
-def _unit(announced: dict[str, object]) -> LoopUnit:
-    named = {name: tuple(value) if isinstance(value, list) else value for name, value in announced.items()}
-    enums = {"sensing": Sensing(str(named["sensing"])), "method": Method(str(named["method"]))}
-    return LoopUnit(**{**named, **enums})  # type: ignore[arg-type]
 
 
 def _path(folder: Path, unit: LoopUnit) -> Path:

@@ -46,7 +46,7 @@ from service.runtime.control.release_context import (
 )
 from service.runtime.control.sign_checks import handle_row, judge_report, release_refusal, requested
 from service.runtime.live.live_feed import LiveFeed
-from service.study.closed_loop.controllers import ControllerOutput
+from service.study.closed_loop.controllers import Controller, ControllerOutput
 from service.study.closed_loop.plant_process import CommandReport, SpacecraftTruth
 
 #: a report later than this after the end of a schedule is given up, s
@@ -96,7 +96,7 @@ class FlightReleases:
 
 
 @dataclass
-class Centre:
+class Centre(Controller):
     """Controller of a flight by the service.
 
     Parameters

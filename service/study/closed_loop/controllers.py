@@ -4,9 +4,9 @@
 the best that the law could do with perfect sensing; ``off`` sends nothing and has to fail.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Protocol
 
 import numpy as np
 
@@ -57,36 +57,22 @@ class ControllerOutput:
     product: UplinkProduct | None = None
 
 
-class Controller(Protocol):
-    """Controller that decides row by row which command is sent."""
+class Controller:
+    """Controller that decides row by row which command is sent; this one sends none."""
 
-    def decide(self, measurement: Measurement, truth: SpacecraftTruth) -> ControllerOutput:
+    def decide(self, measurement: Measurement, truth: SpacecraftTruth) -> ControllerOutput:  # noqa: ARG002
         """Return what is to be sent; only a controller with perfect sensing may read the truth."""
+        return ControllerOutput()
 
     def on_ground(self, content: SlowInput) -> None:
         """Take an input of the journal."""
 
-    def on_input(self, reports: tuple[CommandReport, ...]) -> None:
+    def on_input(self, reports: Sequence[CommandReport]) -> None:
         """Take what the spacecraft has reported of commands."""
 
 
 @dataclass
-class Idle:
-    """Nobody controls."""
-
-    def decide(self, measurement: Measurement, truth: SpacecraftTruth) -> ControllerOutput:  # noqa: ARG002
-        """Return nothing to send."""
-        return ControllerOutput()
-
-    def on_ground(self, content: SlowInput) -> None:
-        """Ignore it."""
-
-    def on_input(self, reports: tuple[CommandReport, ...]) -> None:
-        """Ignore them."""
-
-
-@dataclass
-class ByTruth:
+class ByTruth(Controller):
     """The law on the true state."""
 
     spacecraft: Spacecraft
@@ -101,12 +87,6 @@ class ByTruth:
         self._carry_n_m_s = announced.carry_n_m_s
         command = postponed(announced.command, self.lead_s)
         return ControllerOutput(command.schedule, attitude_deg=truth.attitude_deg)
-
-    def on_ground(self, content: SlowInput) -> None:
-        """Ignore it."""
-
-    def on_input(self, reports: tuple[CommandReport, ...]) -> None:
-        """Ignore them."""
 
 
 def postponed(command: TorqueCommand, lead_s: float) -> TorqueCommand:

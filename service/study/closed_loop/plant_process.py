@@ -174,7 +174,7 @@ class PlantProcess:
             if kind == "ground":
                 here.ground.append(line["line"])
             elif kind == "report":
-                here.reports.append(_report(line))
+                here.reports.append(read_report(line))
             elif kind == "truth":
                 here.truth = line
                 if line.get("is_gap"):
@@ -218,7 +218,8 @@ def _row(here: _Gathered, power_dbm: FloatArray | None) -> PlantRow:
     return PlantRow(truth, power_dbm, tuple(here.ground), tuple(here.reports))
 
 
-def _report(line: Line) -> CommandReport:
+def read_report(line: Line) -> CommandReport:
+    """Return the report of a ``report`` line."""
     impulse = Axes(**line.get("impulse_n_m_s", dict.fromkeys(_AXES, 0.0)))
     until_us = parse_epoch(line["executed_until"]) if "executed_until" in line else None
     from_us = parse_epoch(line["executed_from"]) if "executed_from" in line else None

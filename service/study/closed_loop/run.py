@@ -21,11 +21,11 @@ from service.records.levels.attitude import BoolArray, FloatArray
 from service.records.levels.measurement import Measurement
 from service.records.operations.release import UplinkProduct
 from service.study.closed_loop.centre import Centre
-from service.study.closed_loop.controllers import LEAD_MARGIN_S, LEAD_S, ByTruth, Controller, Idle, Sensing
-from service.study.closed_loop.ground_knowledge import ground_of, slow_inputs
+from service.study.closed_loop.controllers import LEAD_MARGIN_S, LEAD_S, ByTruth, Controller, Sensing
+from service.study.closed_loop.ground_knowledge import ground_of
 from service.study.closed_loop.plant_process import PlantProcess, PlantRow, SpacecraftTruth
 from service.study.estimation.flight.drive import UndrivenError, align, calibrate
-from service.study.estimation.flight.world import Ground
+from service.study.estimation.flight.world import Ground, journal_entry, read_contents
 
 #: what the spacecraft tells of commands
 STATES = ("executed", "executing", "replaced", "repeated", "late", "refused")
@@ -136,7 +136,7 @@ def controller_of(
     is_ideal = unit.uplink == "ideal"
     spacecraft = flown_spacecraft(ground.spacecraft, Release.AUTOMATIC if is_ideal else Release.TWO_STEP)
     if unit.sensing is Sensing.OFF:
-        return Idle()
+        return Controller()
     if unit.sensing is Sensing.TRUTH:
         automatic = flown_spacecraft(ground.spacecraft, Release.AUTOMATIC)
         return ByTruth(automatic, 0.0 if is_ideal else lead_s, float(np.median(np.diff(ground.epochs_us))) / 1e6)
@@ -176,10 +176,12 @@ class GroundJournal:
 
     def update(self, row: PlantRow, controller: Controller) -> None:
         """Hand the ground's new inputs to the chain and follow a change of the plan."""
-        for content in slow_inputs(row.ground, self.documents, 1000 * self.number):
-            if isinstance(content, PlanChange):
-                self.plan_id = content.plan_id
-            controller.on_ground(content)
+        for number, line in enumerate(row.ground, start=1000 * self.number):
+            for content in read_contents(line, number):
+                entry = journal_entry(content, self.documents)
+                if isinstance(entry, PlanChange):
+                    self.plan_id = entry.plan_id
+                controller.on_ground(entry)
 
     def measurement(self, row: PlantRow) -> Measurement:
         """Return the powers of a row in the order of the plan."""
@@ -250,6 +252,8 @@ def _fly(plant: PlantProcess, controller: Controller, journal: GroundJournal, un
 NARROW_DEG = (0.4, 0.2, 0.2)
 WIDE_DEG = (0.5, 0.3, 0.3)
 NARROW_SHARE = 0.95
+#: roll and pitch alone
+LEVEL_DEG = (math.inf, *NARROW_DEG[1:])
 #: roll and pitch of a fade in mid-slew: throughout, and reached so long after the fade, deg and h
 FADE_LIMIT_DEG, FADE_SETTLED_DEG, FADE_SETTLE_H = 0.4, 0.1, 3.0
 #: the scenario that begins off zero and is judged by the fade's limits
@@ -277,35 +281,14 @@ class RunMerit(NamedTuple):
     #: h after the end of the fade until roll and pitch are both small; inf = never, None = no fade
     settled_h: float | None
 
-    @property
-    def is_narrow(self) -> bool:
-        """Return whether every angle stays within the limits of 95 % of the runs."""
-        return all(angle < limit for angle, limit in zip(self.largest_deg, NARROW_DEG, strict=True))
-
-    @property
-    def is_wide(self) -> bool:
-        """Return whether every angle stays within the limits of all runs."""
-        return all(angle < limit for angle, limit in zip(self.largest_deg, WIDE_DEG, strict=True))
-
-    @property
-    def is_level(self) -> bool:
-        """Return whether roll and pitch alone stay within the limits of 95 % of the runs."""
-        return all(angle < limit for angle, limit in zip(self.largest_deg[1:], NARROW_DEG[1:], strict=True))
-
-    @property
-    def is_unknown_torque_held(self) -> bool:
-        """Return whether the limits under a torque that nobody knows are kept."""
-        return all(angle < limit for angle, limit in zip(self.largest_deg, UNKNOWN_TORQUE_DEG, strict=True))
+    def is_within(self, limits_deg: tuple[float, float, float]) -> bool:
+        """Return whether every angle stays within its limit."""
+        return all(angle < limit for angle, limit in zip(self.largest_deg, limits_deg, strict=True))
 
     @property
     def is_unknown_torque_survived(self) -> bool:
-        """Return whether these limits are kept, and control is never lost."""
-        return self.is_unknown_torque_held and self.longest_inhibited_h <= UNKNOWN_TORQUE_INHIBITED_H
-
-    @property
-    def is_measured_yaw_held(self) -> bool:
-        """Return whether yaw stays within the limit of reported wheels, roll and pitch within those of 95 %."""
-        return self.largest_deg[0] <= MEASURED_YAW_DEG and self.is_level
+        """Return whether the limits under a torque that nobody knows are kept, and control is never lost."""
+        return self.is_within(UNKNOWN_TORQUE_DEG) and self.longest_inhibited_h <= UNKNOWN_TORQUE_INHIBITED_H
 
     @property
     def is_fade_survived(self) -> bool:
@@ -325,8 +308,10 @@ OWN_LIMITS = {
     FADE_SCENARIO: OwnLimits(lambda merit: merit.is_fade_survived),
     **dict.fromkeys(UNKNOWN_TORQUE_SCENARIOS, OwnLimits(lambda merit: merit.is_unknown_torque_survived)),
     # thrusters that nobody declares take control away for a while
-    "plant_varied": OwnLimits(lambda merit: merit.is_unknown_torque_held),
-    MEASURED_SCENARIO: OwnLimits(lambda merit: merit.is_measured_yaw_held, NARROW_SHARE),
+    "plant_varied": OwnLimits(lambda merit: merit.is_within(UNKNOWN_TORQUE_DEG)),
+    MEASURED_SCENARIO: OwnLimits(
+        lambda merit: merit.largest_deg[0] <= MEASURED_YAW_DEG and merit.is_within(LEVEL_DEG), NARROW_SHARE
+    ),
 }
 
 
@@ -388,9 +373,9 @@ def group_merit(results: Sequence[LoopResult]) -> GroupMerit:
         sensing=unit.sensing,
         runs=runs,
         refused=runs - len(merits),
-        narrow_share=share(lambda merit: merit.is_narrow),
-        wide_share=share(lambda merit: merit.is_wide),
-        level_share=share(lambda merit: merit.is_level),
+        narrow_share=share(lambda merit: merit.is_within(NARROW_DEG)),
+        wide_share=share(lambda merit: merit.is_within(WIDE_DEG)),
+        level_share=share(lambda merit: merit.is_within(LEVEL_DEG)),
         largest_deg=_percentiles([merit.largest_deg for merit in merits]),
         impulse_n_m_s=_percentiles([merit.impulse_n_m_s for merit in merits]),
         inhibited_h=tuple(triple[0] for triple in _percentiles([(merit.inhibited_h,) * 3 for merit in merits])),

@@ -12,6 +12,7 @@ from service.client.documents import Control, Json
 from service.client.problem import ProblemError
 from service.client.service_client import ServiceClient
 from service.records.epoch import US_PER_S, parse_epoch
+from service.study.closed_loop.plant_process import CommandReport, read_report
 from service.study.demonstration.processes import SimulatorLine
 
 AXES = ("yaw", "roll", "pitch")
@@ -21,26 +22,12 @@ class SpacecraftLineError(Exception):
     """The line to the spacecraft broke, or it refused a schedule; the text gives the reason."""
 
 
-class SpacecraftReport(NamedTuple):
-    """Telemetry report of the spacecraft on one command."""
-
-    counter: int
-    #: executed, executing, replaced, repeated, late or refused
-    state: str
-    reported: str
-    #: of the executed elements; None = none
-    executed_from: str | None
-    executed_until: str | None
-    #: N m s, of the executed elements
-    impulse_n_m_s: dict[str, float]
-
-
 class SpacecraftLine(SimulatorLine):
     """Client of the uplink port."""
 
     def __init__(self, host: str, port: int, timeout_s: float = 120.0) -> None:
         super().__init__(host, port, timeout_s)
-        self._reports: list[SpacecraftReport] = []
+        self._reports: list[CommandReport] = []
         self._flown = ""
         try:
             #: torque that the loop on board feeds forward, as the catalogue states one; None = nothing was said of it
@@ -61,7 +48,7 @@ class SpacecraftLine(SimulatorLine):
         self._socket.sendall(line.encode() + b"\n")
         self._consume("taken")
 
-    def await_flown(self, epoch: str) -> list[SpacecraftReport]:
+    def await_flown(self, epoch: str) -> list[CommandReport]:
         """Wait until the spacecraft has come to the row of an epoch and return what it has told since the last call."""
         while self._flown < epoch:
             self._flown = self._consume("flown")["epoch"]
@@ -78,23 +65,11 @@ class SpacecraftLine(SimulatorLine):
             if line["type"] == "error":
                 raise SpacecraftLineError(f"the spacecraft's line refused: {line['detail']}")
             if line["type"] == "report":
-                self._reports.append(_report(line))
+                self._reports.append(read_report(line))
             if line["type"] == "flown":
                 self._flown = line["epoch"]
             if line["type"] == wanted:
                 return line
-
-
-def _report(line: Json) -> SpacecraftReport:
-    nothing = dict.fromkeys(AXES, 0.0)
-    return SpacecraftReport(
-        line["counter"],
-        line["state"],
-        line["told"],
-        line.get("executed_from"),
-        line.get("executed_until"),
-        line.get("impulse_n_m_s", nothing),
-    )
 
 
 #: bounds hangs: the first row may wait for the compiler on a busy machine
@@ -136,15 +111,15 @@ class ControlLog:
     impulse_n_m_s: dict[str, float] = field(default_factory=lambda: dict.fromkeys(AXES, 0.0))
     newest_us: int = 0
 
-    def on_input(self, report: SpacecraftReport) -> None:
+    def on_input(self, report: CommandReport) -> None:
         """Take what the spacecraft tells of a command."""
         command = self.sent[report.counter]
         if report.state == "repeated":
             command.is_twice = True
             return
         command.state = report.state
-        if report.state == "executed" and report.executed_until is not None:
-            begun = [one for one in command.schedule if one["start"] < report.executed_until]
+        if report.state == "executed" and report.executed_until_us is not None:
+            begun = [one for one in command.schedule if parse_epoch(one["start"]) < report.executed_until_us]
             for axis in AXES:
                 self.impulse_n_m_s[axis] += sum(abs(one[f"{axis}_n_m"]) * one["duration_s"] for one in begun)
 
@@ -318,17 +293,17 @@ class TwoStepCentre(ControlCentre):
                     self.client.report_torques(spacecraft_id, counter, "sent")
         return control
 
-    def _report(self, spacecraft_id: str, report: SpacecraftReport) -> None:
+    def _report(self, spacecraft_id: str, report: CommandReport) -> None:
         """Report to the service what the spacecraft says of a command; only a part executed is stated as one."""
         self.log.on_input(report)
         counter = report.counter
         with _tolerated("command."):
             if report.state in _NOTHING_EXECUTED:
                 self.client.report_torques(spacecraft_id, counter, "failed")
-            elif report.state == "executed" and report.executed_until is not None:
-                is_whole = parse_epoch(report.executed_until) >= self.log.sent[counter].stop_us
-                until = None if is_whole else report.executed_until
-                self.client.report_torques(spacecraft_id, counter, "executed", executed_until=until)
+            elif report.state == "executed" and report.executed_until_us is not None:
+                is_whole = report.executed_until_us >= self.log.sent[counter].stop_us
+                until_us = None if is_whole else report.executed_until_us
+                self.client.report_torques(spacecraft_id, counter, "executed", executed_until=until_us)
 
 
 @contextmanager

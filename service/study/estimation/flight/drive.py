@@ -31,7 +31,7 @@ from service.records.calibration import Alignment, Calibration, CalibrationMetho
 from service.records.catalogue import CarrierPlan, Ephemeris, Method
 from service.records.levels.attitude import AttitudeRow, BoolArray, FloatArray, IntArray
 from service.records.levels.measurement import Measurement
-from service.study.estimation.flight.world import Ground
+from service.study.estimation.flight.world import Ground, journal_entry
 
 #: fixed lag, and how far the rows lie apart at which it is asked, h
 LAG_H, _PERIOD_H = 2.0, 0.5
@@ -104,14 +104,7 @@ class Entry(NamedTuple):
 
 def slow_entries(ground: Ground, documents: JournalDocuments) -> list[Entry]:
     """Return the slow inputs in the order in which the ground hands them over."""
-    entries = []
-    for reported_us, content in ground.events:
-        if isinstance(content, tuple):
-            entries.append(Entry(reported_us, documents.add_plan(content)))
-        elif isinstance(content, Ephemeris):
-            entries.append(Entry(reported_us, documents.add_ephemeris(content)))
-        else:
-            entries.append(Entry(reported_us, content))
+    entries = [Entry(reported_us, journal_entry(content, documents)) for reported_us, content in ground.events]
     return sorted(entries, key=lambda entry: entry.epoch_us)
 
 

@@ -1,10 +1,11 @@
 """True statistics of measured motion, as the simulator states them beside a world; sizes are one standard deviation."""
 
 import json
-from dataclasses import dataclass, fields
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from service.records.levels.attitude import FloatArray
 
@@ -81,6 +82,10 @@ class TrueMotion(NamedTuple):
     polarimeter_turn_deg: FloatArray = np.empty(0)
 
 
+# figures that only newer simulators state are left out
+_WHEELS = TypeAdapter(TrueWheels | None)
+_RATES = TypeAdapter(TrueRates | None)
+_POLARIMETER = TypeAdapter(TruePolarimeter | None)
 #: powers alone
 NOTHING_MEASURED = TrueMotion()
 
@@ -88,16 +93,7 @@ NOTHING_MEASURED = TrueMotion()
 def read_motion_statistics(text: str, polarimeter_turn_deg: FloatArray) -> TrueMotion:
     """Return the statistics of a world by its keys ``motion_json`` and ``polarimeter_turn_deg``."""
     stated = json.loads(text)
-    wheels, rates, polarimeter = (stated[name] for name in ("wheels", "rates", "polarimeter"))
-    return TrueMotion(
-        None if wheels is None else TrueWheels(**_named_figures(TrueWheels, wheels)),
-        None if rates is None else TrueRates(**_named_figures(TrueRates, rates)),
-        None if polarimeter is None else TruePolarimeter(**_named_figures(TruePolarimeter, polarimeter)),
-        polarimeter_turn_deg,
-    )
-
-
-def _named_figures(kind: type[Any], stated: dict[str, Any]) -> dict[str, Any]:
-    """Return the figures of a kind by name; others, which only newer simulators state, are left out."""
-    named = {field.name: stated[field.name] for field in fields(kind)}
-    return {name: tuple(value) if isinstance(value, list) else value for name, value in named.items()}
+    wheels: TrueWheels | None = _WHEELS.validate_python(stated["wheels"])
+    rates: TrueRates | None = _RATES.validate_python(stated["rates"])
+    polarimeter: TruePolarimeter | None = _POLARIMETER.validate_python(stated["polarimeter"])
+    return TrueMotion(wheels, rates, polarimeter, polarimeter_turn_deg)

@@ -16,13 +16,16 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
+from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from service.formats.ephemeris import ephemeris_from_nodes
+from service.pipeline.inputs.knowledge import JournalDocuments
 from service.records import catalogue, inputs
 from service.records.calibration import Window
 from service.records.epoch import parse_epoch
@@ -34,123 +37,77 @@ from service.study.estimation.flight.motion_statistics import NOTHING_MEASURED, 
 Body = dict[str, Any]
 
 
-def read_spacecraft(body: Body) -> catalogue.Spacecraft:
-    """Return the spacecraft of a ``spacecraft`` line."""
-    control = body["control"]
-    first, second, third = (tuple(float(element) for element in row) for row in body["inertia_kg_m2"])
-    return catalogue.Spacecraft(
-        id=body["id"],
-        name=body["name"],
-        longitude_deg=float(body["longitude_deg"]),
-        receiving_site=catalogue.Site(**body["receiving_site"]),
-        inertia_kg_m2=(
-            (first[0], first[1], first[2]),
-            (second[0], second[1], second[2]),
-            (third[0], third[1], third[2]),
-        ),
-        torque_limit_n_m=float(body["torque_limit_n_m"]),
-        cospar_id=body["cospar_id"],
-        simulated=body["simulated"],
-        onboard=_onboard(body["onboard"]),
-        polarimeters=tuple(catalogue.Polarimeter(**stated) for stated in body.get("polarimeters", ())),
-        control=catalogue.ControlSettings(
-            catalogue.Method(control["method"]),
-            catalogue.ControlMode(control["mode"]),
-            catalogue.Release(control["release"]),
-        ),
-    )
+T = TypeVar("T")
+_EPOCHS = frozenset({"epoch", "start", "stop", "epochs", "ascending_nodes"})
 
 
-def _onboard(body: Body) -> catalogue.Onboard:
-    """Return what the catalogue states of the spacecraft on board."""
-    stated, rates = body.get("momentum"), body.get("rate_sensor")
-    if rates is not None:
-        body = {**body, "rate_sensor": catalogue.BodyRateSensor(**rates)}
-    if stated is None:
-        return catalogue.Onboard(**body)
-    # a flown spacecraft states none: what gathers in its wheels is the profile that is fed forward
-    torque = None if stated.get("torque") is None else read_torque(stated["torque"])
-    return catalogue.Onboard(**{**body, "momentum": catalogue.WheelMomentum(**{**stated, "torque": torque})})
+_adapter = cache(TypeAdapter)
 
 
-def read_torque(body: Body) -> catalogue.FedForwardTorque:
-    """Return the profile of a torque."""
-    return catalogue.FedForwardTorque(
-        epoch_us=parse_epoch(body["epoch"]),
-        period_s=body["period_s"],
-        constant_n_m=catalogue.AxisTorques(**body["constant_n_m"]),
-        cosine_n_m=catalogue.AxisTorques(**body["cosine_n_m"]),
-        sine_n_m=catalogue.AxisTorques(**body["sine_n_m"]),
-        relative_error=body["relative_error"],
-        axis_relative_error=body["axis_relative_error"],
-    )
+def read_record(kind: type[T], body: Body, **others: Any) -> T:
+    """Return the record of an object; ``others`` are fields that it does not state."""
+    record: T = _adapter(kind).validate_python(_with_epochs_us(body) | others)  # type: ignore[arg-type] # a class is hashable
+    return record
+
+
+def _with_epochs_us(body: Body) -> Body:
+    """Return an object with its epochs in microseconds, under the names that they have in records."""
+    members: Body = {}
+    for name, value in body.items():
+        if name not in _EPOCHS:
+            members[name] = _with_epochs_us(value) if isinstance(value, dict) else value
+        else:
+            members[f"{name}_us"] = list(map(parse_epoch, value)) if isinstance(value, list) else parse_epoch(value)
+    return members
 
 
 def read_carriers(body: Body) -> tuple[catalogue.Carrier, ...]:
     """Return the carriers of a ``carriers`` line in their order."""
-    return tuple(
-        catalogue.Carrier(
-            **{**carrier, "station": None if carrier["station"] is None else catalogue.Station(**carrier["station"])}
-        )
-        for carrier in body["carriers"]
-    )
+    return tuple(read_record(catalogue.Carrier, carrier) for carrier in body["carriers"])
 
 
 def read_ephemeris(body: Body) -> catalogue.Ephemeris:
     """Return the ephemeris of an ``ephemeris`` line."""
-    reported = body["track"]
-    track = catalogue.Track(
-        tuple(parse_epoch(epoch) for epoch in reported["epochs"]),
-        tuple(reported["latitude_deg"]),
-        tuple(reported["longitude_deg"]),
-    )
     nodes_us = [parse_epoch(epoch) for epoch in body["ascending_nodes"]]
-    return ephemeris_from_nodes(nodes_us, body["nodal_period_s"], track)
+    return ephemeris_from_nodes(nodes_us, body["nodal_period_s"], read_record(catalogue.Track, body["track"]))
 
 
-def read_operation(body: Body, number: int) -> inputs.Operation:
-    """Return the operation of an ``operations`` line under a number of the study's own."""
-    angles = body.get("attitude_uncertainty_deg")
-    return inputs.Operation(
-        id=number,
-        kind=body["kind"],
-        start_us=parse_epoch(body["start"]),
-        stop_us=parse_epoch(body["stop"]),
-        carriers=_names(body["carriers"]),
-        transponders=_names(body["transponders"]),
-        inhibit_control=body["inhibit_control"],
-        attitude_uncertainty_deg=None if angles is None else Axes(**angles),
-        comment=body["comment"],
-    )
+#: of which the ground learns after the start
+GroundContent = (
+    tuple[catalogue.Carrier, ...]
+    | catalogue.Ephemeris
+    | inputs.Operation
+    | inputs.TelemetryRecord
+    | inputs.WeatherReport
+    | inputs.PolarizationRecord
+    | inputs.SourceSelection
+    | inputs.Correction
+)
 
 
-def read_telemetry(body: Body) -> tuple[inputs.TelemetryRecord, ...]:
-    """Return the records of a ``telemetry`` line."""
-    return tuple(
-        inputs.TelemetryRecord(
-            parse_epoch(record["epoch"]),
-            record["onboard_mode"],
-            tuple(record["wheel_momentum_n_m_s"]) if "wheel_momentum_n_m_s" in record else None,
-            thrusters_active=record.get("thrusters_active"),
-            body_rate_deg_s=Axes(**record["body_rate_deg_s"]) if "body_rate_deg_s" in record else None,
-        )
-        for record in body["records"]
-    )
+def read_contents(line: Body, number: int) -> Iterator[GroundContent]:
+    """Yield what a line tells the chain, numbered by the study; tasks are for the front end."""
+    body, kind = line.get("body", {}), line["kind"]
+    if kind == "carriers":
+        yield read_carriers(body)
+    elif kind == "ephemeris":
+        yield read_ephemeris(body)
+    elif kind == "operations":
+        yield read_record(inputs.Operation, body, id=number)
+    elif kind == "telemetry":
+        yield from (read_record(inputs.TelemetryRecord, record) for record in body["records"])
+    elif kind == "polarization":
+        source = body["source"]
+        yield from (read_record(inputs.PolarizationRecord, record, source=source) for record in body["records"])
+    elif kind == "source":
+        yield inputs.SourceSelection(body["source"], number)
 
 
-def read_polarization(body: Body) -> tuple[inputs.PolarizationRecord, ...]:
-    """Return the records of a ``polarization`` line."""
-    return tuple(
-        inputs.PolarizationRecord(
-            body["source"], parse_epoch(record["epoch"]), **{k: v for k, v in record.items() if k != "epoch"}
-        )
-        for record in body["records"]
-    )
-
-
-def _names(names: list[str] | None) -> tuple[str, ...] | None:
-    """Return names as a record keeps them."""
-    return None if names is None else tuple(names)
+def journal_entry(content: GroundContent, documents: JournalDocuments) -> inputs.SlowInput:
+    """Return the entry of the journal for what the ground has learned; a plan or an ephemeris is a new document."""
+    if isinstance(content, tuple):
+        return documents.add_plan(content)
+    return documents.add_ephemeris(content) if isinstance(content, catalogue.Ephemeris) else content
 
 
 AXES = ("yaw", "roll", "pitch")
@@ -166,16 +123,7 @@ class GroundEvent(NamedTuple):
     """Something of which the ground learns after the start."""
 
     reported_us: int
-    content: (
-        tuple[catalogue.Carrier, ...]
-        | catalogue.Ephemeris
-        | inputs.Operation
-        | inputs.TelemetryRecord
-        | inputs.WeatherReport
-        | inputs.PolarizationRecord
-        | inputs.SourceSelection
-        | inputs.Correction
-    )
+    content: GroundContent
 
 
 @dataclass(frozen=True)
@@ -342,7 +290,7 @@ def _ground(arrays: Arrays) -> Ground:
     spans = zip(arrays["phase_name"], arrays["phase_start_us"], arrays["phase_stop_us"], strict=True)
     corrections = _corrections(arrays)
     return Ground(
-        spacecraft=read_spacecraft(lines["spacecraft"]),
+        spacecraft=read_record(catalogue.Spacecraft, lines["spacecraft"]),
         carriers=read_carriers(lines["carriers"]),
         ephemeris=read_ephemeris(lines["ephemeris"]),
         events=(*corrections, *_ground_events(arrays)),
@@ -373,22 +321,10 @@ def _references(arrays: Arrays, kind: str) -> tuple[ReferenceSeries, ...]:
 
 
 def _ground_events(arrays: Arrays) -> Iterator[GroundEvent]:
-    """Yield what the ground learns later; tasks are for the front end, late corrections stand among the others."""
+    """Yield what the ground learns later; late corrections stand among the others."""
     lines = json.loads(str(arrays["news_json"]))
     for number, (reported_us, line) in enumerate(zip(arrays["news_us"].tolist(), lines, strict=True), start=1):
-        body, kind = line["body"], line["kind"]
-        if kind == "carriers":
-            yield GroundEvent(reported_us, read_carriers(body))
-        elif kind == "ephemeris":
-            yield GroundEvent(reported_us, read_ephemeris(body))
-        elif kind == "operations":
-            yield GroundEvent(reported_us, read_operation(body, number))
-        elif kind == "telemetry":
-            yield from (GroundEvent(reported_us, record) for record in read_telemetry(body))
-        elif kind == "polarization":
-            yield from (GroundEvent(reported_us, record) for record in read_polarization(body))
-        elif kind == "source":
-            yield GroundEvent(reported_us, inputs.SourceSelection(body["source"], number))
+        yield from (GroundEvent(reported_us, content) for content in read_contents(line, number))
 
 
 def _corrections(arrays: Arrays) -> tuple[GroundEvent, ...]:

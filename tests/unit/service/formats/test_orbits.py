@@ -123,7 +123,7 @@ def bad(text: str, old: str, new: str) -> str:
         (lambda t: bad(t, "REF_FRAME = EME2000", "COMMENT"), "oem.unsupported", "REF_FRAME"),
         (lambda t: bad(t, "= UTC", "= TDB"), "oem.unsupported", "TIME_SYSTEM"),
         (lambda t: bad(t, "OBJECT_NAME =", "OBJECT_NAME"), "oem.malformed", "line 6"),
-        (lambda t: bad(t, "META_START", "COMMENT"), "oem.malformed", "META_START"),
+        (lambda t: bad(t, "META_START", "COMMENT"), "oem.malformed", "META_STOP"),
         (lambda t: t + "2026-11-25T04:00:00 1 2 3\n", "oem.malformed", "three rates"),
         (lambda t: t + "2026-11-25T04:00:00 1 2 3 4 5 x\n", "oem.malformed", "number"),
         (lambda t: t + "2026-11-25T04:00:00 1 2 3 4 5 nan\n", "oem.malformed", "finite"),

@@ -48,7 +48,7 @@ from service.study.closed_loop.campaign import (
     verdict,
 )
 from service.study.closed_loop.centre import Centre
-from service.study.closed_loop.controllers import LEAD_S, ByTruth, Idle, Sensing, postponed
+from service.study.closed_loop.controllers import LEAD_S, ByTruth, Controller, Sensing, postponed
 from service.study.closed_loop.figures import draw_campaign
 from service.study.closed_loop.ground_knowledge import AXIS_RELATIVE_ERROR, RELATIVE_ERROR, ground_of
 from service.study.closed_loop.plant_process import CommandReport, PlantProcess, SpacecraftTruth
@@ -56,7 +56,9 @@ from service.study.closed_loop.run import (
     COMMAND_PERIOD_S,
     LOOP_PERIOD_S,
     MEASURED_SCENARIO,
+    NARROW_DEG,
     UNKNOWN_TORQUE_SCENARIOS,
+    WIDE_DEG,
     FlownRun,
     LoopResult,
     LoopUnit,
@@ -260,7 +262,7 @@ def replace_state(report, state):
 
 
 def test_nobody_sends_nothing():
-    assert Idle().decide(MEASUREMENT, truth(1.0)).schedule == ()
+    assert Controller().decide(MEASUREMENT, truth(1.0)).schedule == ()
 
 
 @pytest.mark.parametrize("roll_deg", [0.5, -0.5])
@@ -305,7 +307,7 @@ def test_over_an_ideal_uplink_a_command_counts_from_its_epoch():
     assert link.centre.decide(MEASUREMENT, truth(0.0)).is_inhibited
 
 
-UNIT = LoopUnit("nominal", 3, Sensing.AUTOMATIC, "link", 0.5, (0.1, 0.2, 0.3))
+UNIT = LoopUnit("nominal", 3, Sensing.AUTOMATIC, "link", 0.5, 1e-6)
 
 
 def flight():
@@ -413,7 +415,7 @@ def test_figures_of_a_run_are_those_of_its_rows():
 )
 def test_limits_are_those_that_were_asked(largest_deg, is_narrow, is_wide):
     merit = run_merit(settled_flight(largest_deg))
-    assert (merit.is_narrow, merit.is_wide) == (is_narrow, is_wide)
+    assert (merit.is_within(NARROW_DEG), merit.is_within(WIDE_DEG)) == (is_narrow, is_wide)
 
 
 def test_the_time_to_come_back_counts_from_the_end_of_the_fade():

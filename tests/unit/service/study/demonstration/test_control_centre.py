@@ -7,13 +7,15 @@ import threading
 import pytest
 
 from service.client.problem import ProblemError
+from service.records.epoch import parse_epoch
+from service.records.levels.attitude import NO_ANGLES
+from service.study.closed_loop.plant_process import CommandReport
 from service.study.demonstration import control_centre
 from service.study.demonstration.control_centre import (
     ControlCentre,
     RowPaces,
     SpacecraftLine,
     SpacecraftLineError,
-    SpacecraftReport,
     TwoStepCentre,
 )
 from service.study.demonstration.processes import GroundLink
@@ -33,8 +35,7 @@ def command(minute, *schedule, inhibitions=()):
 
 
 def report(counter, state="executed", until="2026-11-05T10:59:00.000000Z"):
-    impulse = dict.fromkeys(("yaw", "roll", "pitch"), 0.0)
-    return SpacecraftReport(counter, state, epoch(0), None, until if state == "executed" else None, impulse)
+    return CommandReport(counter, state, NO_ANGLES, 0, parse_epoch(until) if state == "executed" else None)
 
 
 class Service:
@@ -118,14 +119,13 @@ def test_a_service_that_computes_nothing_is_not_waited_for_for_ever(monkeypatch)
 
 
 NO_WAIT = RowPaces(0.0, 0.0, 0.0)
-IMPULSE = dict.fromkeys(("yaw", "roll", "pitch"), 0.0)
 
 
 PULSES = [pulse(4), pulse(6)]
 
 
 def said_report(state, until=None):
-    return SpacecraftReport(1, state, epoch(9), None, until, IMPULSE)
+    return CommandReport(1, state, NO_ANGLES, 0, None if until is None else parse_epoch(until))
 
 
 class RefusingService:
@@ -188,7 +188,7 @@ def test_a_released_command_goes_up_once_and_is_reported_sent():
     ("said", "reported"),
     [
         (said_report("executed", epoch(6, 5)), ("executed", 1, None)),
-        (said_report("executed", epoch(4, 5)), ("executed", 1, epoch(4, 5))),
+        (said_report("executed", epoch(4, 5)), ("executed", 1, parse_epoch(epoch(4, 5)))),
         (said_report("late"), ("failed", 1, None)),
         (said_report("refused"), ("failed", 1, None)),
         (said_report("replaced"), ("failed", 1, None)),
@@ -308,12 +308,8 @@ def test_reports_are_kept_until_the_row_they_belong_to_is_asked_for(record):
         assert line.await_flown(epoch(2)) == [], "a row that was flown is not waited for"
     reported.end()
     assert reported.heard == [{"schedule": [{"start": epoch(0)}], "counter": 1}]
-    assert (first.state, first.executed_until, first.impulse_n_m_s["roll"]) == (
-        "executed",
-        epoch(1),
-        0.02,
-    )
-    assert (second.state, second.executed_until, second.impulse_n_m_s) == ("repeated", None, NOTHING)
+    assert (first.state, first.executed_until_us, first.impulse_n_m_s.roll) == ("executed", parse_epoch(epoch(1)), 0.02)
+    assert (second.state, second.executed_until_us, second.impulse_n_m_s) == ("repeated", None, (0.0, 0.0, 0.0))
 
 
 def test_a_refused_schedule_is_told_with_its_reason(record):

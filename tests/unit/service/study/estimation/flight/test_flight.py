@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from service.pipeline.inputs.knowledge import JournalDocuments
-from service.records.catalogue import Carrier, ControlMode, Method, Release, WheelMomentum
+from service.records.catalogue import Carrier, ControlMode, Method, Release, Spacecraft, WheelMomentum
 from service.records.epoch import parse_epoch
-from service.records.inputs import Correction, PlanChange, SourceSelection
+from service.records.inputs import Correction, Operation, PlanChange, SourceSelection
 from service.records.levels.attitude import Axes
 from service.study.estimation.flight.baselines import (
     BASELINES,
@@ -32,10 +32,9 @@ from service.study.estimation.flight.world import (
     GroundEvent,
     Truth,
     read_carriers,
+    read_contents,
     read_ephemeris,
-    read_operation,
-    read_spacecraft,
-    read_telemetry,
+    read_record,
 )
 
 MINUTE_US = 60_000_000
@@ -254,7 +253,7 @@ CARRIER = {
 
 
 def test_a_spacecraft_keeps_what_the_ground_says_of_its_coupling_and_control():
-    record = read_spacecraft(SPACECRAFT)
+    record = read_record(Spacecraft, SPACECRAFT)
     assert record.onboard.roll_yaw_coupling is False
     assert record.inertia_kg_m2[1] == (0.0, 1400.0, 0.0)
     assert (record.control.method, record.control.mode, record.control.release) == (
@@ -267,7 +266,7 @@ def test_a_spacecraft_keeps_what_the_ground_says_of_its_coupling_and_control():
 
 def test_a_flown_spacecraft_states_its_wheels_without_a_torque_of_their_own():
     stated = {"sigma_n_m_s": 0.02, "scale_error": 0.005, "misalignment_deg": 0.05, "used": True}
-    record = read_spacecraft({**SPACECRAFT, "onboard": {**SPACECRAFT["onboard"], "momentum": stated}})
+    record = read_record(Spacecraft, {**SPACECRAFT, "onboard": {**SPACECRAFT["onboard"], "momentum": stated}})
     assert record.onboard.momentum == WheelMomentum(sigma_n_m_s=0.02)
 
 
@@ -297,11 +296,11 @@ def test_an_operation_keeps_its_uncertainty_by_axis():
         "comment": "",
         "attitude_uncertainty_deg": {"yaw": 0.2, "roll": 0.1, "pitch": 0.05},
     }
-    reported = read_operation(body, 7)
+    reported = read_record(Operation, body, id=7)
     assert (reported.id, reported.transponders, reported.carriers) == (7, ("Ku1",), None)
     assert reported.attitude_uncertainty_deg == Axes(0.2, 0.1, 0.05)
     del body["attitude_uncertainty_deg"]
-    assert read_operation(body, 8).attitude_uncertainty_deg is None
+    assert read_record(Operation, body, id=8).attitude_uncertainty_deg is None
 
 
 def test_telemetry_keeps_wheels_and_thrusters():
@@ -311,7 +310,7 @@ def test_telemetry_keeps_wheels_and_thrusters():
         "wheel_momentum_n_m_s": [1.0, -8.0, 0.5],
         "thrusters_active": False,
     }
-    (reported,) = read_telemetry({"records": [record]})
+    (reported,) = read_contents({"kind": "telemetry", "body": {"records": [record]}}, 1)
     assert reported.epoch_us == parse_epoch(START)
     assert reported.wheel_momentum_n_m_s == (1.0, -8.0, 0.5)
     assert reported.thrusters_active is False
