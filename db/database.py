@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import asdict
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, Concatenate, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 from sqlalchemy import ColumnElement, Connection, Row, Select, Table, and_, bindparam, func, or_, select, true, update
@@ -38,6 +38,7 @@ from service.records.operations.access import (
 )
 
 Result = TypeVar("Result")
+Arguments = ParamSpec("Arguments")
 PagedRow = TypeVar("PagedRow")
 #: above every limit
 ALL_ROWS = 1 << 62
@@ -166,6 +167,29 @@ class Repository:
 
     def __init__(self, database: Database) -> None:
         self._database = database
+
+    @contextmanager
+    def _read(self, spacecraft_id: str) -> Iterator[tuple[Connection, int]]:
+        """Open a read transaction about a spacecraft, whose key comes with it."""
+        key = self._database.key(spacecraft_id)
+        with self._database.read() as connection:
+            yield connection, key
+
+    def _change(
+        self,
+        spacecraft_id: str,
+        work: Callable[Concatenate[Connection, int, Arguments], Result],
+        *arguments: Arguments.args,
+        **options: Arguments.kwargs,
+    ) -> Result:
+        """Do a write of a spacecraft, by its key, while no other writer may change it, and wait for the commit."""
+        key = self._database.key(spacecraft_id)
+
+        def write(connection: Connection) -> Result:
+            lock_head(connection, key)
+            return work(connection, key, *arguments, **options)
+
+        return self._database.write(write)
 
 
 def lock_head(connection: Connection, key: int) -> Row[Any]:

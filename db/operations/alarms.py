@@ -8,7 +8,7 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, Row, Select, delete, func, or_, select, true, update
 from sqlalchemy.dialects import postgresql, sqlite
 
-from db.database import Repository, lock_head, page_of
+from db.database import Repository, page_of
 from db.encoding.record_codec import decode, encode
 from db.measurements.closed_days import LOGS_AT_ONCE
 from db.schema.columns import sound_rows
@@ -97,18 +97,16 @@ class SqlAlarms(Repository):
 
     def count_refused(self, spacecraft_id: str, is_refused: Sequence[bool]) -> None:
         """Count records of telemetry that were refused one after another, whichever process refused them."""
-        key = self._database.key(spacecraft_id)
         if not any(is_refused) and not self.refused(spacecraft_id):
             return
 
-        def store(connection: Connection) -> None:
-            lock_head(connection, key)
+        def store(connection: Connection, _key: int) -> None:
             count = connection.scalar(_refused(spacecraft_id)) or 0
             for is_bad in is_refused:
                 count = count + 1 if is_bad else 0
             _put_memory(connection, spacecraft_id=spacecraft_id, refused=count)
 
-        self._database.write(store)
+        self._change(spacecraft_id, store)
 
     def refused(self, spacecraft_id: str) -> int:
         """Return how many records of telemetry were refused since one was accepted."""
@@ -150,17 +148,15 @@ class SqlAlarms(Repository):
 
     def put_limits(self, spacecraft_id: str, limits: AlarmLimits) -> AlarmLimits:
         """Store limits as the next version and return it; the version that they state is ignored."""
-        key = self._database.key(spacecraft_id)
 
-        def store(connection: Connection) -> AlarmLimits:
-            lock_head(connection, key)
+        def store(connection: Connection, _key: int) -> AlarmLimits:
             query = select(func.max(alarm_limits.c.version)).where(alarm_limits.c.spacecraft_id == spacecraft_id)
             stored = replace(limits, version=1 + (connection.scalar(query) or 0))
             values = {"spacecraft_id": spacecraft_id, "version": stored.version, "document": encode(stored)}
             connection.execute(alarm_limits.insert().values(values))
             return stored
 
-        return self._database.write(store)
+        return self._change(spacecraft_id, store)
 
 
 def _refused(spacecraft_id: str) -> Select[Any]:

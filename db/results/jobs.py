@@ -30,7 +30,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.exc import IntegrityError
 
-from db.database import Database, Repository, lock_head, next_id
+from db.database import Database, Repository, next_id
 from db.encoding.record_codec import decode, encode
 from db.measurements.closed_days import ATTITUDE_BYTES, PARTS, TORQUE_BYTES, delete_named
 from db.measurements.measurement_pages import MAX_NUMBER
@@ -248,15 +248,14 @@ class SqlReplays(Repository):
         holder: str | None = None,
     ) -> Replay:
         """Store a replay (its id is ignored), with its job, and return it with its id."""
-        key = self._database.key(spacecraft_id)
 
-        def add(connection: Connection) -> Replay:
+        def add(connection: Connection, key: int) -> Replay:
             stored = _insert_replay(connection, key, replay)
             if job is not None:
                 insert_job(connection, replace(job, subject=stored.version), most, holder)
             return stored
 
-        return self._database.write(add)
+        return self._change(spacecraft_id, add)
 
     def replay(self, spacecraft_id: str, version: str) -> ReplayVersion:
         """Return the replay that wrote a version, and what became of it."""
@@ -289,11 +288,9 @@ class SqlReplays(Repository):
 
     def delete_replay(self, spacecraft_id: str, version: str) -> None:
         """Mark a replay as deleted; a job that still writes it ends at its next rows."""
-        key, number = self._database.key(spacecraft_id), number_of(version)
-        is_it = _is_replay(key, number or 0)
 
-        def mark(connection: Connection) -> None:
-            lock_head(connection, key)
+        def mark(connection: Connection, key: int) -> None:
+            is_it = _is_replay(key, number_of(version) or 0)
             marked = connection.execute(update(replay_table).where(is_it, _IS_HELD).values(is_deleted=True))
             if marked.rowcount == 0:
                 raise _no_replay(spacecraft_id, version)
@@ -304,7 +301,7 @@ class SqlReplays(Repository):
             ended = {"state": JobState.FAILED.value, "error": f"{version} was deleted."}
             connection.execute(update(job_table).where(job_table.c.job_id == job_id, is_open).values(ended))
 
-        self._database.write(mark)
+        self._change(spacecraft_id, mark)
 
     def drop_replays(self, spacecraft_id: str, created_before_us: int | None) -> Iterator[int]:
         """Delete finished replays made before an epoch, drop the rows of deleted ones, and yield how many a step."""
@@ -376,7 +373,6 @@ def _version_of(row: Row[Any]) -> ReplayVersion:
 
 
 def _insert_replay(connection: Connection, key: int, record: Replay) -> Replay:
-    lock_head(connection, key)
     stored = replace(record, id=next_id(connection, replay_table, "replay_id", key))
     values = {
         "spacecraft_key": key,

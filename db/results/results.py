@@ -10,7 +10,7 @@ from itertools import chain, count, repeat, zip_longest
 from typing import Any, NamedTuple
 
 import numpy as np
-from sqlalchemy import ColumnElement, Connection, Row, and_, bindparam, func, select, update
+from sqlalchemy import ColumnElement, Connection, Row, Table, and_, bindparam, func, select, update
 
 from db.connection.writer import insert_new
 from db.database import ALL_ROWS, Database, lock_head
@@ -225,25 +225,16 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
         The live version has exactly one row a consumed measurement: ``db.results.stored_rows`` fills in rows that
         were not computed.
         """
-        key = self._database.key(spacecraft_id)
-        with self._database.read() as connection:
-            if version == LIVE:
-                reader = AttitudeReader(connection, self._database.segments, key, method)
-                return reader.rows(part)
-            of = RowSeries(key, attitude, version, method.value)
-            rows = stored_rows(connection, of, part)
-            check_held(connection, key, version)
-        return attitudes_of(rows)
+        if version != LIVE:
+            return attitudes_of(self._stored_rows(spacecraft_id, attitude, version, part, method.value))
+        with self._read(spacecraft_id) as (connection, key):
+            return AttitudeReader(connection, self._database.segments, key, method).rows(part)
 
     def carrier_results(
         self, spacecraft_id: str, version: str, method: Method, window: Window
     ) -> dict[tuple[int, int], CarrierResults]:
         """Return what a method made of the carriers at the rows of a window, by (epoch, number), where it is stored."""
-        key = self._database.key(spacecraft_id)
-        with self._database.read() as connection:
-            of = RowSeries(key, attitude, version, method.value)
-            rows = stored_rows(connection, of, ListPart(window, ALL_ROWS))
-            check_held(connection, key, version)
+        rows = self._stored_rows(spacecraft_id, attitude, version, ListPart(window, ALL_ROWS), method.value)
         return {(row.epoch_us, row.number): unpack_carriers(row.carriers) for row in rows if row.carriers is not None}
 
     def sampled_attitude(
@@ -274,8 +265,7 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
 
     def newest_attitude(self, spacecraft_id: str, version: str, method: Method) -> AttitudeRow | None:
         """Return the row with the greatest epoch."""
-        key = self._database.key(spacecraft_id)
-        with self._database.read() as connection:
+        with self._read(spacecraft_id) as (connection, key):
             if version == LIVE:
                 computed = newest_computed(connection, key, method)
                 return computed or AttitudeReader(connection, self._database.segments, key, method).newest()
@@ -284,17 +274,20 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
 
     def commands(self, spacecraft_id: str, version: str, part: ListPart) -> list[TorqueCommand]:
         """Return computed commands in order of (epoch, number) beyond a cursor."""
-        key = self._database.key(spacecraft_id)
-        with self._database.read() as connection:
-            of = RowSeries(key, torque, version)
-            rows = stored_rows(connection, of, part)
+        return torques_of(self._stored_rows(spacecraft_id, torque, version, part))
+
+    def _stored_rows(
+        self, spacecraft_id: str, table: Table, version: str, part: ListPart, method: str = ""
+    ) -> list[Any]:
+        """Return rows as they are stored; NotFoundError ``replay.unknown`` where the version was deleted."""
+        with self._read(spacecraft_id) as (connection, key):
+            rows = stored_rows(connection, RowSeries(key, table, version, method), part)
             check_held(connection, key, version)
-        return torques_of(rows)
+        return rows
 
     def newest_command(self, spacecraft_id: str, version: str) -> TorqueCommand | None:
         """Return the newest computed command."""
-        key = self._database.key(spacecraft_id)
-        with self._database.read() as connection:
+        with self._read(spacecraft_id) as (connection, key):
             row = newest_row(connection, RowSeries(key, torque, version))
         return None if row is None else torque_of(row)
 
@@ -302,9 +295,7 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
         self, spacecraft_id: str, sequence: int, limit: int
     ) -> list[tuple[int, AttitudeRow | TorqueCommand]]:
         """Return live results with a sequence above the given one, in order: what a resumed stream missed."""
-        key = self._database.key(spacecraft_id)
-
-        with self._database.read() as connection:
+        with self._read(spacecraft_id) as (connection, key):
             found = _results(connection, key, sequence, limit)
             if not found and (following := _next_sequence(connection, key, sequence)) is not None:
                 # retention has taken away what followed
@@ -313,17 +304,16 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
 
     def carriers_after(self, spacecraft_id: str, sequence: int, until: int) -> dict[int, CarrierResults]:
         """Return what is stored of the carriers with the live results of sequences in (sequence, until]."""
-        key, column = self._database.key(spacecraft_id), attitude.c
-        is_wanted = and_(column.spacecraft_key == key, column.sequence > sequence, column.sequence <= until)
-        with self._database.read() as connection:
+        column = attitude.c
+        with self._read(spacecraft_id) as (connection, key):
+            is_wanted = and_(column.spacecraft_key == key, column.sequence > sequence, column.sequence <= until)
             rows = connection.execute(select(column.sequence, column.carriers).where(is_wanted)).all()
             sealed = [row for row in sealed_of_sequences(connection, key, sequence, until) if hasattr(row, "carriers")]
         return {row.sequence: unpack_carriers(row.carriers) for row in (*rows, *sealed) if row.carriers is not None}
 
     def pending(self, spacecraft_id: str, methods: Sequence[Method]) -> int:
         """Return how many rows that feed the estimator, later than the alignment's epoch, lack a result of a method."""
-        key = self._database.key(spacecraft_id)
-        with self._database.read() as connection:
+        with self._read(spacecraft_id) as (connection, key):
             return self._pending.count(connection, self._database.segments, key, methods)
 
     def mark_complete(self, spacecraft_id: str, methods: Sequence[Method]) -> None:
@@ -334,9 +324,9 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
 
     def rows_after(self, spacecraft_id: str, alignment: Alignment) -> tuple[int, int]:
         """Return how many of the earlier stored rows after its epoch an alignment computes, and how many stay."""
-        key, number = self._database.key(spacecraft_id), self.alignment_number(spacecraft_id, alignment.id)
+        number = self.alignment_number(spacecraft_id, alignment.id)
         methods = tuple(Method(name) for name in alignment.calibration_by_method)
-        with self._database.read() as connection:
+        with self._read(spacecraft_id) as (connection, key):
             waiting = self._pending.count(connection, self._database.segments, key, methods)
             numbers, alignments = _alignments_after(connection, key, alignment.epoch_us)
         is_own = alignments == alignment.id
