@@ -17,7 +17,6 @@ from db.encoding.segments import (
     MeasurementSegment,
     SegmentCache,
     SegmentHead,
-    day_of,
     heads,
     heads_of_numbers,
     of_measurements,
@@ -221,23 +220,6 @@ class MeasurementPages:
         window = Window(epoch_us, epoch_us + 1)
         runs = self.read(Chosen(window, self.names[source_key]), 1, None)
         return runs[0].records()[0] if runs else None
-
-    def newest(self, chosen: Chosen) -> tuple[int, int, int] | None:
-        """Return epoch, number and time of receipt of the row with the greatest (epoch, number)."""
-        order = measurement.c.epoch_us.desc(), measurement.c.number.desc()
-        row = self._connection.execute(self._rows(chosen, LIGHT).order_by(*order).limit(1)).first()
-        best = None if row is None else (row.epoch_us, row.number, row.epoch_us + row.delay_us)
-        start_us = chosen.window.start_us if best is None else best[0]
-        for head in heads(self._connection, self._of_segments(chosen), start_us, EVER.stop_us, newest_first=True):
-            if best is not None and head.day < day_of(best[0]):
-                break
-            chunk = read_chunk(self._connection, self._cache, head)
-            positions = _positions(chunk, chosen, None, chosen.window.stop_us)
-            if len(positions):
-                last = positions[-1]
-                found = int(chunk.epochs_us[last]), int(chunk.numbers[last]), int(chunk.received_at_us[last])
-                best = found if best is None else max(best, found)
-        return best
 
     def last_number(self, window: Window) -> int:
         """Return a journal number behind which no row lies in a window; 0 where none does at all."""

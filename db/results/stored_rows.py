@@ -208,6 +208,8 @@ def read_results(connection: Connection, head: SegmentHead) -> ResultSegment:
     return opened(connection, head, partial(ResultSegment, head))
 
 
+#: of a series, its last row
+NEWEST = ListPart(EVER, 1, newest_first=True)
 #: positions in one query
 _LOOKUP = 250
 #: rows in memory at once as records
@@ -247,6 +249,11 @@ def stored_rows(connection: Connection, of: RowSeries, part: ListPart) -> list[A
     return sorted(rows + sealed, key=position_of)[:limit]
 
 
+def newest_row(connection: Connection, of: RowSeries) -> Any | None:
+    """Return the row with the greatest (epoch, number)."""
+    return next(iter(stored_rows(connection, of, NEWEST)), None)
+
+
 def _start_of_newest(connection: Connection, of: RowSeries, window: Window, count: int) -> int:
     """Return an epoch from which on so many rows of a window stand; its start where there are fewer."""
     epoch = of.table.c.epoch_us
@@ -257,21 +264,6 @@ def _start_of_newest(connection: Connection, of: RowSeries, window: Window, coun
     epochs_us = (read_results(connection, head).epochs_us for head in found)
     inside = (each[(each >= window.start_us) & (each < window.stop_us)] for each in epochs_us)
     return start_of_last(inside, count, start_us)
-
-
-def newest_row(connection: Connection, of: RowSeries, before_us: int = 1 << 62) -> Any | None:
-    """Return the row with the greatest (epoch, number) before an epoch."""
-    table = of.table
-    query = select(table).where(*of.of_rows(), table.c.epoch_us < before_us)
-    newest_of_table = query.order_by(table.c.epoch_us.desc(), table.c.number.desc()).limit(1)
-    row: Any = next(iter(sound_rows(table, connection.execute(newest_of_table))), None)
-    start_us = -(1 << 62) if row is None else row.epoch_us
-    head = next(heads(connection, of.of_segments(), start_us, before_us, newest_first=True), None)
-    if head is None:
-        return row
-    found = read_results(connection, head)
-    (sealed,) = found.rows(np.flatnonzero(found.epochs_us < before_us)[-1:])
-    return sealed if row is None else max(row, sealed, key=position_of)
 
 
 def stored_numbers(connection: Connection, of: RowSeries, window: Window) -> IntArray:
@@ -392,12 +384,7 @@ class AttitudeReader:
 
     def newest(self) -> AttitudeRow | None:
         """Return the row with the greatest epoch."""
-        begin_us = max(kept_from_us(self._connection, self._key, "attitude"), self._measured_from_us)
-        newest = self._pages.newest(self._consumed(Window(begin_us, EVER.stop_us)))
-        if newest is not None:
-            return self._records([_Consumed(*newest)])[0]
-        row = newest_row(self._connection, self._stored, self._measured_from_us)
-        return None if row is None else attitude_of(row)
+        return next(iter(self.rows(NEWEST)), None)
 
     def _left(self, part: ListPart) -> list[AttitudeRow]:
         return attitudes_of(stored_rows(self._connection, self._stored, part))
