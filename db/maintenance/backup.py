@@ -23,7 +23,6 @@ from typing import Any, NamedTuple
 from sqlalchemy import Connection, Integer, Table, func, select, text
 from sqlalchemy.exc import SQLAlchemyError
 
-import db.schema.tables  # noqa: F401 - brings every table along
 from db.connection.engines import (
     COMPANIONS,
     Progress,

@@ -28,12 +28,10 @@ from sqlalchemy import (
     text,
 )
 
-from db.schema import tables  # noqa: F401 - they add their tables
 from db.schema.columns import (
     Figure,
     checksum_column,
     keys,
-    measurement_checksum,
     needed,
     optional,
     record_columns,
@@ -135,9 +133,9 @@ measurement = Table(
     *needed(Boolean, "is_late", "feeds"),
     # see db.encoding.measurement_rows
     Column("powers", LargeBinary, nullable=False),
-    *optional(LargeBinary, "flags", "figures", "checksum"),
+    *optional(LargeBinary, "flags", "figures"),
+    checksum_column(),
     Index("measurement_number", "spacecraft_key", "number", unique=True),
-    info={"checksum": measurement_checksum},
     sqlite_with_rowid=False,
 )
 
@@ -543,7 +541,7 @@ uplink_product = Table(
 
 
 #: number of the layout that this program makes and reads
-LAYOUT = 8
+LAYOUT = 9
 
 #: one row; apart from the tables that a copy of an archive fills
 archive_layout = Table(
