@@ -14,7 +14,7 @@ from db.encoding.record_codec import decode, decode_all
 from db.maintenance.backup import Report as BackupReport
 from db.maintenance.backup import Restored, create_backup, restore_backup, verify_backup
 from db.maintenance.integrity_check import Report, examine, guarded
-from db.measurements.journal_heads import compared_heads
+from db.measurements.measurement_pages import compared_heads
 from db.schema.tables import (
     alarm,
     alignment,

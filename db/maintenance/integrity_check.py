@@ -12,7 +12,7 @@ from sqlalchemy import ColumnElement, Connection, Row, Select, Table, func, sele
 from sqlalchemy.exc import SQLAlchemyError
 
 from db.database import Database
-from db.documents import damaged_documents
+from db.encoding.record_codec import damaged_documents
 from db.encoding.segments import SegmentHead, heads_where, of_measurements, read_chunk, series_of
 from db.measurements.closed_days import MeasurementRows
 from db.operations.access import SqlAudit
@@ -35,8 +35,7 @@ from db.schema.tables import (
     summary,
     torque,
 )
-from db.sealing import RowKind
-from db.summaries import Bins, differences
+from db.sealing import Bins, RowKind, differences
 from service.errors import StorageError
 from service.ports.archive import LIVE
 from service.records.epoch import format_epoch

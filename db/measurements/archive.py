@@ -30,8 +30,18 @@ from db.encoding.segments import DAY_US, SegmentCache
 from db.measurements import closed_days
 from db.measurements.closed_days import seal_measurements
 from db.measurements.ingest import StoreBatch, prepare
-from db.measurements.journal_heads import HEAD_COLUMNS, SOURCE_COLUMNS, head_states, journal_heads, source_state
-from db.measurements.measurement_pages import EVER, UNCHECKED, Chosen, MeasurementPages, sampled_powers
+from db.measurements.measurement_pages import (
+    EVER,
+    HEAD_COLUMNS,
+    SOURCE_COLUMNS,
+    UNCHECKED,
+    Chosen,
+    MeasurementPages,
+    head_states,
+    journal_heads,
+    sampled_powers,
+    source_state,
+)
 from db.schema.columns import sound_rows
 from db.schema.tables import carrier_plan, head, journal, operation, source, source_key_run
 from service.errors import InvalidInputError, NotFoundError

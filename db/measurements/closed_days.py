@@ -48,8 +48,7 @@ from db.schema.tables import (
     torque,
     trace,
 )
-from db.sealing import Change, seal_day
-from db.summaries import Bins, bins_of
+from db.sealing import Bins, Change, bins_of, seal_day
 from service.records.levels.measurement import DETAIL_NAMES, Measurement
 from service.records.storage import RetiredRows, SealedPart
 

@@ -8,9 +8,8 @@ from sqlalchemy import Connection, Row, Select, Table, case, delete, func, selec
 from sqlalchemy.exc import IntegrityError
 
 from db.database import EpochSpan, Repository, add_entries, count_entries, next_id
-from db.documents import damaged_documents, with_digest
-from db.encoding.record_codec import decode, decode_all, encode, encode_all
-from db.measurements.journal_heads import HEAD_COLUMNS, SOURCE_COLUMNS, source_state
+from db.encoding.record_codec import damaged_documents, decode, decode_all, encode, encode_all, with_digest
+from db.measurements.measurement_pages import HEAD_COLUMNS, SOURCE_COLUMNS, source_state
 from db.schema.tables import (
     alignment,
     calibration,

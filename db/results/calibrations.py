@@ -6,8 +6,7 @@ from typing import Any
 from sqlalchemy import Connection, Row, Select, select, update
 
 from db.database import EpochSpan, Repository, add_entries, count_entries, next_id
-from db.documents import differs, digest_of, with_digest
-from db.encoding.record_codec import decode, encode
+from db.encoding.record_codec import decode, differs, digest_of, encode, with_digest
 from db.results.jobs import insert_job
 from db.schema.tables import alignment as alignment_table
 from db.schema.tables import calibration as calibration_table

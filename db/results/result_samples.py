@@ -31,8 +31,7 @@ from db.results.stored_rows import (
 )
 from db.schema.columns import Figure
 from db.schema.tables import attitude, measurement, segment, summary
-from db.sealing import seal_day
-from db.summaries import Bins, bins_of, bins_within, next_row_us, seasons, stored_blobs
+from db.sealing import Bins, bins_of, bins_within, next_row_us, seal_day, seasons, stored_blobs
 from service.core.rows import Gap, History, RowState, StateRun, Stretch, StretchSearch, Summaries, joined_stretches
 from service.ports.archive import LIVE, Intervals, ListPart, SampledCarriers
 from service.records.calibration import Window

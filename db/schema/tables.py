@@ -42,7 +42,7 @@ from service.records.levels.attitude import AttitudeRow, TorqueCommand
 metadata = MetaData()
 
 
-#: digest: see db.documents, here and in the other tables of documents
+#: digest: see db.encoding.record_codec, here and in the other tables of documents
 spacecraft = Table(
     "spacecraft",
     metadata,
@@ -165,7 +165,7 @@ segment = Table(
     Index("segment_sequence", "spacecraft_key", "last_sequence", "first_sequence"),
 )
 
-#: of the rows of a segment (db.summaries); goes with it
+#: of the rows of a segment (db.sealing); goes with it
 summary = Table(
     "summary",
     metadata,

@@ -6,7 +6,7 @@ from hashlib import sha256
 
 import pytest
 
-from db.documents import COVERED, digest_of
+from db.encoding.record_codec import COVERED, digest_of
 from db.maintenance.backup import create_backup
 from db.maintenance.doctor import diagnose
 from db.schema.tables import metadata

@@ -16,7 +16,7 @@ from db.encoding.column_blob import ColumnBlob, decimals, levels_of, pack_column
 from db.encoding.segments import MeasuredColumns, MeasurementSegment, SegmentCache, SegmentHead, measured_arrays
 from db.schema.columns import checksum_of
 from db.schema.tables import segment
-from db.summaries import HOUR_S, MINUTE_S, bins_from, bins_of, differences
+from db.sealing import HOUR_S, MINUTE_S, bins_from, bins_of, differences
 from service.core.rows import Summaries
 
 INT64 = st.integers(-(1 << 63), (1 << 63) - 1)
