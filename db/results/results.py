@@ -13,7 +13,7 @@ import numpy as np
 from sqlalchemy import ColumnElement, Connection, Row, Table, and_, bindparam, func, select, update
 
 from db.connection.writer import insert_new
-from db.database import ALL_ROWS, Database, lock_head
+from db.database import ALL_ROWS, lock_head
 from db.encoding.segments import RowSeries
 from db.measurements.archive import store_inputs
 from db.results.calibrations import SqlCalibrations
@@ -21,7 +21,6 @@ from db.results.jobs import SqlJobs, SqlReplays, check_held, checkpoints, note_r
 from db.results.result_samples import sampled_carriers, sampled_figures, seal_results, state_history
 from db.results.stored_rows import (
     AttitudeReader,
-    PendingCount,
     attitude_columns,
     attitude_of,
     attitudes_of,
@@ -29,6 +28,7 @@ from db.results.stored_rows import (
     newest_row,
     next_sealed_sequence,
     numbers_where,
+    pending_rows,
     sealed_of_sequences,
     sealed_positions,
     stored_rows,
@@ -164,10 +164,6 @@ def _advance(connection: Connection, key: int, state: Row[Any], consumed: Consum
 
 class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
     """Results in a relational database."""
-
-    def __init__(self, database: Database) -> None:
-        super().__init__(database)
-        self._pending = PendingCount()
 
     def save_outcomes(
         self,
@@ -314,20 +310,14 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
     def pending(self, spacecraft_id: str, methods: Sequence[Method]) -> int:
         """Return how many rows that feed the estimator, later than the alignment's epoch, lack a result of a method."""
         with self._read(spacecraft_id) as (connection, key):
-            return self._pending.count(connection, self._database.segments, key, methods)
-
-    def mark_complete(self, spacecraft_id: str, methods: Sequence[Method]) -> None:
-        """Store up to where every row has its results, for the first count of another process."""
-        self.pending(spacecraft_id, methods)
-        key = self._database.key(spacecraft_id)
-        self._database.write(lambda connection: self._pending.store(connection, key))
+            return pending_rows(connection, self._database.segments, key, methods)
 
     def rows_after(self, spacecraft_id: str, alignment: Alignment) -> tuple[int, int]:
         """Return how many of the earlier stored rows after its epoch an alignment computes, and how many stay."""
         number = self.alignment_number(spacecraft_id, alignment.id)
         methods = tuple(Method(name) for name in alignment.calibration_by_method)
         with self._read(spacecraft_id) as (connection, key):
-            waiting = self._pending.count(connection, self._database.segments, key, methods)
+            waiting = pending_rows(connection, self._database.segments, key, methods)
             numbers, alignments = _alignments_after(connection, key, alignment.epoch_us)
         is_own = alignments == alignment.id
         computed = np.unique(numbers[is_own & (numbers < number)])

@@ -266,16 +266,6 @@ torque = Table(
     sqlite_with_rowid=False,
 )
 
-#: up to which journal number every row after an alignment has results of some methods
-complete_mark = Table(
-    "complete_mark",
-    metadata,
-    spacecraft_key(is_referencing=False),
-    *keys(Text, "methods"),
-    Column("alignment_id", Integer, nullable=False),
-    Column("number", BigInteger, nullable=False),
-)
-
 #: states from which a chain goes on: of the live version several, of a replay that may be interrupted one
 checkpoint = Table(
     "checkpoint",

@@ -21,7 +21,7 @@ from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
 from service.ports.archive import LIVE, Outcome
 from service.ports.storage import Storage, Term
-from service.records.catalogue import LIVE_METHODS, Method
+from service.records.catalogue import Method
 from service.records.inputs import AlignmentSet, AttitudeReference, Correction, JournalEntry
 from service.records.levels.attitude import AppliedCommand, AttitudeRow, CarrierState, ReleasedCommand, TorqueCommand
 from service.records.levels.measurement import BatchReceipt, HeadState, Measurement, MeasurementBatch
@@ -133,13 +133,9 @@ class NewestResults(NamedTuple):
     #: entry of the journal up to which they are, and sequence of the last of them
     consumed_number: int
     sequence: int
-    #: entry from which on the chain has consumed all
-    since_number: int
     #: of each method some rows without a gap, the newest last
     rows: dict[Method, tuple[AttitudeRow, ...]]
     command: TorqueCommand | None
-    #: the newest row without a result of a method, by method
-    lacking: dict[Method, int]
     #: the newest commanded motion that it knows of, or where it began
     motion_number: int
 
@@ -148,23 +144,16 @@ class NewestResults(NamedTuple):
     ) -> "NewestResults":
         """Return the newest results after some more entries, up to a number, of which came outcomes."""
         rows, command = dict(self.rows), self.command
-        methods: dict[int, set[Method]] = {}
         for outcome in outcomes:
             for row in outcome.rows:
-                methods.setdefault(row.number, set()).add(row.method)
                 before = rows.get(row.method, ())
                 # a late row stands between others
                 is_next = not before or (row.epoch_us, row.number) > (before[-1].epoch_us, before[-1].number)
                 rows[row.method] = (*before[1 - _ROWS_AT_HAND :], row) if is_next else before[-1:]
             if outcome.command is not None and (command is None or outcome.command.epoch_us >= command.epoch_us):
                 command = outcome.command
-        lacking, motion_number = dict(self.lacking), self.motion_number
-        for entry in entries:
-            if isinstance(entry.content, Correction | ReleasedCommand):
-                motion_number = entry.number
-            if isinstance(entry.content, Measurement) and entry.content.feeds_estimator:
-                lacking |= dict.fromkeys(set(LIVE_METHODS) - methods.get(entry.number, set()), entry.number)
-        return NewestResults(number, sequence, self.since_number, rows, command, lacking, motion_number)
+        moving = (entry.number for entry in entries if isinstance(entry.content, Correction | ReleasedCommand))
+        return NewestResults(number, sequence, rows, command, max(moving, default=self.motion_number))
 
 
 @dataclass
@@ -570,7 +559,7 @@ class Supervisor:
             return None
         chain, kept_us = back
         number, command = head.consumed_number, self._storage.results.newest_command(spacecraft_id, LIVE)
-        newest = NewestResults(number, head.result_sequence, number, {}, command, {}, number)
+        newest = NewestResults(number, head.result_sequence, {}, command, number)
         follower = _Follower(spacecraft_id, chain, turn, number, head.consumed_epoch_us, newest, kept_us)
         self._followers[spacecraft_id] = follower
         self._publisher.begin(spacecraft_id, follower.consumed_number)
