@@ -21,7 +21,7 @@ from db.connection.lease import FileLeases, SqlLeases
 from db.connection.writer import Writer, insert_new
 from db.encoding.record_codec import encode, kind_of
 from db.encoding.segments import SegmentCache
-from db.schema.tables import audit_entry, audit_head, head, journal, spacecraft
+from db.tables import audit_entry, audit_head, head, journal, spacecraft
 from service.errors import NotFoundError
 from service.ports.archive import Cursor, ListPart
 from service.records.calibration import Window

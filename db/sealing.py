@@ -20,11 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import ColumnElement, Connection, and_, delete, func, or_, select, true, tuple_
 
+from db.columns import agrees, soundness
 from db.database import Database, lock_head, position_of
 from db.encoding.column_blob import ColumnBlob, arrow, pack_columns
 from db.encoding.segments import DAY_US, RowSeries, SegmentHead, day_of, heads
-from db.schema.columns import agrees, soundness
-from db.schema.tables import measurement, segment, summary
+from db.tables import measurement, segment, summary
 from service.core.arrays import IntArray
 from service.core.rows import NEVER_US, Summaries, joined
 from service.errors import StorageError

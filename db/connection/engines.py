@@ -24,7 +24,7 @@ from sqlalchemy import Connection, Engine, NullPool, create_engine, event, text
 from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, SQLAlchemyError
 
-from db.schema.tables import LAYOUT, layout_of
+from db.tables import LAYOUT, layout_of
 from service.errors import StorageError
 
 #: the server speaks first: an answer that says why is better than a closed connection, s

@@ -18,7 +18,7 @@ from sqlalchemy.engine import make_url
 from sqlalchemy.exc import SQLAlchemyError
 
 from db.connection.engines import end_stopped_writers, session_engine, translated_faults
-from db.schema.tables import LEASE_US, MEMBERS_LOCK, SERVER_NOW_US, lease, live_member, member
+from db.tables import LEASE_US, MEMBERS_LOCK, SERVER_NOW_US, lease, live_member, member
 from service.errors import StorageError
 from service.ports.storage import ARCHIVE, LeaseLoan, Leases, Term
 from service.records.epoch import US_PER_S

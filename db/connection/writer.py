@@ -14,8 +14,8 @@ from sqlalchemy import Connection, Engine, Table
 from sqlalchemy.engine import Dialect
 from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 
+from db.columns import checksums_of
 from db.connection.engines import storage_error
-from db.schema.columns import checksums_of
 from service.errors import StorageError
 
 #: serialization_failure, deadlock_detected: one of two transactions was ended, the other went on

@@ -17,8 +17,8 @@ from typing import Any, Generic, TypeVar, cast
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 from sqlalchemy import Connection, Row, Table, select
 
-from db.schema.columns import agrees, column_names
-from db.schema.tables import alignment, calibration, carrier_plan, ephemeris, journal, spacecraft
+from db.columns import agrees, column_names
+from db.tables import alignment, calibration, carrier_plan, ephemeris, journal, spacecraft
 from service.errors import StorageError
 from service.records.calibration import CalibrationState
 from service.records.inputs import KIND_OF, KINDS, SlowInput
@@ -86,7 +86,7 @@ class RecordCodec(Generic[Record]):
     record : type
         Dataclass.
     table : Table
-        Has the columns of `db.schema.columns.record_columns`.
+        Has the columns of `db.columns.record_columns`.
     """
 
     def __init__(self, record: type[Record], table: Table) -> None:

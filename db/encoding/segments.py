@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import Column, ColumnElement, Connection, Select, Table, and_, bindparam, select, tuple_
 
+from db.columns import agrees
 from db.encoding.column_blob import ColumnBlob, decimals, levels_of
 from db.encoding.measurement_rows import (
     RowContent,
@@ -24,9 +25,8 @@ from db.encoding.measurement_rows import (
     row_content,
     stored_arrays,
 )
-from db.schema.columns import agrees
-from db.schema.tables import measurement, source, spacecraft
-from db.schema.tables import segment as segment_table
+from db.tables import measurement, source, spacecraft
+from db.tables import segment as segment_table
 from service.errors import StorageError
 from service.records.epoch import US_PER_S, format_epoch
 from service.records.levels.attitude import BoolArray, IntArray

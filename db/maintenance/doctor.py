@@ -15,7 +15,7 @@ from db.maintenance.backup import Report as BackupReport
 from db.maintenance.backup import Restored, create_backup, restore_backup, verify_backup
 from db.maintenance.integrity_check import Report, examine, guarded
 from db.measurements.measurement_pages import compared_heads
-from db.schema.tables import (
+from db.tables import (
     alarm,
     alignment,
     calibration,

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from sqlalchemy import ColumnElement, Connection, Row, Select, Table, func, select
 from sqlalchemy.exc import SQLAlchemyError
 
+from db.columns import row_name, soundness
 from db.database import Database
 from db.encoding.record_codec import damaged_documents
 from db.encoding.segments import SegmentHead, heads_where, of_measurements, read_chunk, series_of
@@ -18,8 +19,8 @@ from db.measurements.closed_days import MeasurementRows
 from db.operations.access import SqlAudit
 from db.results.result_samples import ResultRows
 from db.results.stored_rows import TABLES, read_results
-from db.schema.columns import row_name, soundness
-from db.schema.tables import (
+from db.sealing import Bins, RowKind, differences
+from db.tables import (
     LAYOUT,
     attitude,
     head,
@@ -35,7 +36,6 @@ from db.schema.tables import (
     summary,
     torque,
 )
-from db.sealing import Bins, RowKind, differences
 from service.errors import StorageError
 from service.ports.archive import LIVE
 from service.records.epoch import format_epoch

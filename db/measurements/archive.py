@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from sqlalchemy import Connection, Row, Select, and_, bindparam, func, or_, select, update
 
+from db.columns import sound_rows
 from db.database import (
     Database,
     EpochSpan,
@@ -42,8 +43,7 @@ from db.measurements.measurement_pages import (
     sampled_powers,
     source_state,
 )
-from db.schema.columns import sound_rows
-from db.schema.tables import carrier_plan, head, journal, operation, source, source_key_run
+from db.tables import carrier_plan, head, journal, operation, source, source_key_run
 from service.errors import InvalidInputError, NotFoundError
 from service.ports.archive import Cursor, Intervals, ListPart, MeasuredFigure, SampledPowers
 from service.records.calibration import Window

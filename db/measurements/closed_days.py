@@ -38,7 +38,8 @@ from db.encoding.segments import (
     measured_arrays,
     read_chunk,
 )
-from db.schema.tables import (
+from db.sealing import Bins, Change, bins_of, seal_day
+from db.tables import (
     attitude,
     head,
     measurement,
@@ -48,7 +49,6 @@ from db.schema.tables import (
     torque,
     trace,
 )
-from db.sealing import Bins, Change, bins_of, seal_day
 from service.records.levels.measurement import DETAIL_NAMES, Measurement
 from service.records.storage import RetiredRows, SealedPart
 

@@ -19,7 +19,7 @@ from db.database import lock_head
 from db.encoding.measurement_rows import RowContent, StoredArrays, row_content, stored_arrays
 from db.encoding.segments import SegmentCache, sealed_contents
 from db.measurements.sequence_numbers import MAX_JUMP, NumberedRow, SequenceNumbers, Tail, blocks_of
-from db.schema.tables import head, measurement, source, source_key_run
+from db.tables import head, measurement, source, source_key_run
 from service.errors import InvalidInputError, source_not_yours
 from service.records.epoch import format_epoch
 from service.records.levels.attitude import BoolArray, IntArray

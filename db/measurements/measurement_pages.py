@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from sqlalchemy import ColumnElement, Connection, Row, Select, bindparam, func, select
 
+from db.columns import sound_rows
 from db.database import Database, beyond, newest_rows, start_of_last, within
 from db.encoding.measurement_rows import ChunkRun, OrderedRows, details_of, end_us, measurement_of, powers_of
 from db.encoding.segments import (
@@ -28,10 +29,9 @@ from db.encoding.segments import (
     of_measurements,
     read_chunk,
 )
-from db.schema.columns import sound_rows
-from db.schema.tables import head as head_table
-from db.schema.tables import journal, measurement, segment, source, spacecraft
 from db.sealing import bins_within, next_row_us, seasons
+from db.tables import head as head_table
+from db.tables import journal, measurement, segment, source, spacecraft
 from service.core.rows import Summaries
 from service.ports.archive import Cursor, Intervals, ListPart, MeasuredFigure, SampledPowers
 from service.records.calibration import Window

@@ -8,13 +8,13 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, Row, Select, delete, func, or_, select, true, update
 from sqlalchemy.dialects import postgresql, sqlite
 
+from db.columns import sound_rows
 from db.database import Repository, page_of
 from db.encoding.record_codec import decode, encode
 from db.measurements.closed_days import LOGS_AT_ONCE
-from db.schema.columns import sound_rows
-from db.schema.tables import alarm as alarm_table
-from db.schema.tables import alarm_change, alarm_limits, alarm_memory
-from db.schema.tables import note as note_table
+from db.tables import alarm as alarm_table
+from db.tables import alarm_change, alarm_limits, alarm_memory
+from db.tables import note as note_table
 from service.errors import NotFoundError
 from service.ports.archive import ListPart
 from service.ports.storage import ARCHIVE

@@ -10,7 +10,7 @@ from sqlalchemy.exc import IntegrityError
 from db.database import EpochSpan, Repository, add_entries, count_entries, next_id
 from db.encoding.record_codec import damaged_documents, decode, decode_all, encode, encode_all, with_digest
 from db.measurements.measurement_pages import HEAD_COLUMNS, SOURCE_COLUMNS, source_state
-from db.schema.tables import (
+from db.tables import (
     alignment,
     calibration,
     carrier_plan,
@@ -23,7 +23,7 @@ from db.schema.tables import (
     segment,
     source,
 )
-from db.schema.tables import spacecraft as spacecraft_table
+from db.tables import spacecraft as spacecraft_table
 from service.errors import ConflictError, NotFoundError
 from service.records.calibration import CalibrationState
 from service.records.catalogue import Carrier, CarrierPlan, Ephemeris, Spacecraft

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from sqlalchemy import ColumnElement, Connection, Row, Select, and_, delete, func, select, update
 
+from db.columns import sound_rows
 from db.database import Repository, page_of
 from db.encoding.record_codec import decode, encode
-from db.schema.columns import sound_rows
-from db.schema.tables import link as link_table
-from db.schema.tables import trace as trace_table
+from db.tables import link as link_table
+from db.tables import trace as trace_table
 from service.errors import ConflictError, NotFoundError
 from service.ports.archive import ListPart
 from service.records.epoch import US_PER_S, format_epoch

@@ -8,8 +8,8 @@ from sqlalchemy import Connection, Row, Select, select, update
 from db.database import EpochSpan, Repository, add_entries, count_entries, next_id
 from db.encoding.record_codec import decode, differs, digest_of, encode, with_digest
 from db.results.jobs import insert_job
-from db.schema.tables import alignment as alignment_table
-from db.schema.tables import calibration as calibration_table
+from db.tables import alignment as alignment_table
+from db.tables import calibration as calibration_table
 from service.errors import ConflictError, NotFoundError, StorageError
 from service.records.calibration import (
     Alignment,

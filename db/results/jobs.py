@@ -30,16 +30,16 @@ from sqlalchemy import (
 )
 from sqlalchemy.exc import IntegrityError
 
+from db.columns import agrees
 from db.database import Database, Repository, next_id
 from db.encoding.record_codec import decode, encode
 from db.measurements.closed_days import ATTITUDE_BYTES, PARTS, TORQUE_BYTES, delete_named
 from db.measurements.measurement_pages import MAX_NUMBER
-from db.schema.columns import agrees
-from db.schema.tables import calibration as calibration_table
-from db.schema.tables import checkpoint, live_member, spacecraft
-from db.schema.tables import checkpoint as checkpoint_table
-from db.schema.tables import job as job_table
-from db.schema.tables import replay as replay_table
+from db.tables import calibration as calibration_table
+from db.tables import checkpoint, live_member, spacecraft
+from db.tables import checkpoint as checkpoint_table
+from db.tables import job as job_table
+from db.tables import replay as replay_table
 from service.errors import BusyError, ConflictError, NotFoundError
 from service.ports.archive import LIVE
 from service.records.calibration import CalibrationState, Window

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from sqlalchemy import Connection, LargeBinary, func, select, tuple_
 
+from db.columns import Figure
 from db.database import Database, within
 from db.encoding.column_blob import ColumnBlob, arrow, pack_columns
 from db.encoding.segments import DAY_US, RowSeries, SegmentHead, day_of, heads, of_measurements
@@ -29,9 +30,8 @@ from db.results.stored_rows import (
     torques_of,
     unsealed_rows,
 )
-from db.schema.columns import Figure
-from db.schema.tables import attitude, measurement, segment, summary
 from db.sealing import Bins, bins_of, bins_within, next_row_us, seal_day, seasons, stored_blobs
+from db.tables import attitude, measurement, segment, summary
 from service.core.rows import Gap, History, RowState, StateRun, Stretch, StretchSearch, Summaries, joined_stretches
 from service.ports.archive import LIVE, Intervals, ListPart, SampledCarriers
 from service.records.calibration import Window

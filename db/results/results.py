@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from sqlalchemy import ColumnElement, Connection, Row, Table, and_, bindparam, func, select, update
 
+from db.columns import sound_rows
 from db.connection.writer import insert_new
 from db.database import ALL_ROWS, lock_head
 from db.encoding.segments import RowSeries
@@ -38,8 +39,7 @@ from db.results.stored_rows import (
     unpack_carriers,
     unsealed_positions,
 )
-from db.schema.columns import sound_rows
-from db.schema.tables import attitude, head, torque
+from db.tables import attitude, head, torque
 from service.core.rows import History, Summaries
 from service.ports.archive import LIVE, SMOOTHED, Cursor, Intervals, ListPart, Outcome, SampledCarriers
 from service.records.calibration import Alignment, Window

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import Connection, Table, and_, func, select
 
+from db.columns import Figure, sound_rows
 from db.database import ALL_ROWS, newest_rows, page_of, position_of, start_of_last, within
 from db.encoding.column_blob import ColumnBlob, Positions
 from db.encoding.measurement_rows import ChunkRun
@@ -37,8 +38,7 @@ from db.encoding.segments import (
 )
 from db.measurements.closed_days import kept_from_us
 from db.measurements.measurement_pages import EVER, LIGHT, MAX_NUMBER, Chosen, MeasurementPages
-from db.schema.columns import Figure, sound_rows
-from db.schema.tables import (
+from db.tables import (
     alignment,
     attitude,
     calibration,
@@ -48,7 +48,7 @@ from db.schema.tables import (
     segment,
     torque,
 )
-from db.schema.tables import head as head_table
+from db.tables import head as head_table
 from service.ports.archive import LIVE, Cursor, ListPart
 from service.records.calibration import CalibrationMethod, Window
 from service.records.catalogue import Method

@@ -13,10 +13,10 @@ from sqlalchemy import select, update
 from stored_records import ALARM
 
 import db.maintenance.integrity_check
+from db.columns import CHECKSUM_BYTES, checksum_of
 from db.maintenance.backup import create_backup, restore_backup, verify_backup
 from db.maintenance.doctor import diagnose
-from db.schema.columns import CHECKSUM_BYTES, checksum_of
-from db.schema.tables import attitude, measurement, metadata
+from db.tables import attitude, measurement, metadata
 from service.errors import StorageError
 from service.ports.archive import LIVE, ListPart, Outcome
 from service.records.calibration import Window

@@ -14,7 +14,7 @@ from db.encoding.segments import DAY_US
 from db.maintenance.integrity_check import compare_summaries
 from db.results import result_samples
 from db.results.results import SqlResults
-from db.schema.tables import segment, summary
+from db.tables import segment, summary
 from service.core.rows import GapSearch, RowState, SampleBins
 from service.ports.archive import ATTITUDE_FIGURES, LIVE, ListPart, Outcome
 from service.records.calibration import Window

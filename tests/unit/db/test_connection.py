@@ -12,11 +12,11 @@ from sqlalchemy.dialects.postgresql import psycopg
 from sqlalchemy.exc import IntegrityError, OperationalError
 from sqlalchemy.schema import CreateTable
 
+from db.columns import checksums_of
 from db.connection.engines import FileWatch, open_engines, translated_faults
 from db.connection.writer import GROUP_LIMIT, Writer, insert_new
 from db.results.stored_rows import attitude_columns
-from db.schema.columns import checksums_of
-from db.schema.tables import attitude, create_tables, measurement
+from db.tables import attitude, create_tables, measurement
 from service.errors import StorageError
 from service.records.catalogue import Method
 from service.records.levels.attitude import row_without_attitude

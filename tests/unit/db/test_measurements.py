@@ -9,7 +9,7 @@ from sqlalchemy import delete, select
 
 from db.connection.engines import open_engines
 from db.measurements.sequence_numbers import RUNS_KEPT, Block, NumberedRow, SequenceNumbers, Tail, blocks_of
-from db.schema.tables import create_tables, sequence_interval
+from db.tables import create_tables, sequence_interval
 
 BLOCKS = st.lists(
     st.tuples(st.integers(0, 40), st.integers(0, 5), st.integers(0, 99), st.booleans()), min_size=1, max_size=40

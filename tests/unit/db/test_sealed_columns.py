@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from pyarrow import parquet
 
+from db.columns import checksum_of
 from db.encoding.column_blob import ColumnBlob, decimals, levels_of, pack_columns
 from db.encoding.segments import MeasuredColumns, MeasurementSegment, SegmentCache, SegmentHead, measured_arrays
-from db.schema.columns import checksum_of
-from db.schema.tables import segment
 from db.sealing import HOUR_S, MINUTE_S, bins_from, bins_of, differences
+from db.tables import segment
 from service.core.rows import Summaries
 
 INT64 = st.integers(-(1 << 63), (1 << 63) - 1)

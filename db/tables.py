@@ -28,7 +28,7 @@ from sqlalchemy import (
     text,
 )
 
-from db.schema.columns import (
+from db.columns import (
     Figure,
     checksum_column,
     keys,
