@@ -450,28 +450,22 @@ def _sqlite_engines(target: URL, busy_s: float) -> Engines:
         raise ValueError(message)
     write = create_engine(target, pool_size=1, max_overflow=0)
     read = create_engine(target, pool_size=READERS, max_overflow=READERS)
-    for engine in (write, read):
-        event.listen(engine, "connect", partial(_prepare, busy_s))
-    event.listen(read, "connect", _forbid_writing)
     watch = FileWatch(Path(target.database or ""))
-    event.listen(write, "connect", lambda *_: watch.note())
-    event.listen(read, "connect", lambda *_: watch.note())
-    event.listen(write, "begin", _begin_immediate)
-    event.listen(read, "begin", _begin)
-    for engine in (write, read):
+    # the write lock comes first: a reader that turns writer could only fail, never wait
+    for engine, begin in ((write, "BEGIN IMMEDIATE"), (read, "BEGIN")):
+        # connecting to a name without a file would make an empty one
+        event.listen(engine, "do_connect", lambda *_: watch.check())
+        event.listen(engine, "do_connect", lambda *_: make_private(watch.path))
+        event.listen(engine, "connect", partial(_prepare, busy_s))
+        event.listen(engine, "connect", lambda *_: watch.note())
+        # no transaction begins or ends on a file that is no longer there
+        event.listen(engine, "begin", lambda _: watch.check())
+        event.listen(engine, "begin", partial(Connection.exec_driver_sql, statement=begin))
         event.listen(engine, "commit", _commit)
-        _guard(engine, watch)
+        event.listen(engine, "commit", lambda _: watch.check())
+    event.listen(read, "connect", lambda connection, _: connection.execute("PRAGMA query_only=ON"))
     event.listen(write, "commit", lambda _: watch.confirm())
     return Engines(write, read)
-
-
-def _guard(engine: Engine, watch: FileWatch) -> None:
-    """Let no transaction of an engine begin or end on a file that is no longer there."""
-    # connecting to a name without a file would make an empty one
-    event.listen(engine, "do_connect", lambda *_: watch.check())
-    event.listen(engine, "do_connect", lambda *_: make_private(watch.path))
-    event.listen(engine, "begin", lambda _: watch.check(), insert=True)
-    event.listen(engine, "commit", lambda _: watch.check())
 
 
 def _prepare(busy_s: float, connection: Any, _record: object) -> None:
@@ -494,19 +488,6 @@ def _use_wal(connection: sqlite3.Connection, busy_s: float) -> None:
             time.sleep(_LOG_RETRY_S)
         else:
             return
-
-
-def _forbid_writing(connection: Any, _record: object) -> None:
-    connection.execute("PRAGMA query_only=ON")
-
-
-def _begin(connection: Connection) -> None:
-    connection.exec_driver_sql("BEGIN")
-
-
-def _begin_immediate(connection: Connection) -> None:
-    # the write lock comes first: a reader that turns writer could only fail, never wait
-    connection.exec_driver_sql("BEGIN IMMEDIATE")
 
 
 def _commit(connection: Connection) -> None:

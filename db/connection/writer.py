@@ -211,7 +211,9 @@ class Writer:
             try:
                 with self._engine.connect().execution_options(written_keys=_keys_of(group)) as connection:
                     if not _is_run_together(connection, group):
-                        _run_apart(connection, group)
+                        with connection.begin():
+                            for task in group:
+                                _attempt(connection, task)
             except SQLAlchemyError as fault:
                 if attempt == ATTEMPTS or not is_passing(fault):
                     raise
@@ -273,15 +275,8 @@ def _run_in_turn(connection: Connection, group: list[_Task[Any]]) -> None:
                 task.result = result
 
 
-def _run_apart(connection: Connection, group: list[_Task[Any]]) -> None:
-    """Run a group with a savepoint around each function and commit it."""
-    with connection.begin():
-        for task in group:
-            _attempt(connection, task)
-
-
 def _attempt(connection: Connection, task: _Task[Any]) -> None:
-    """Run one function inside the transaction of its group."""
+    """Run one function inside the transaction of its group, with a savepoint around it."""
     savepoint = connection.begin_nested()
     try:
         task.result = task.work(connection)

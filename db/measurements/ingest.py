@@ -18,7 +18,7 @@ from db.connection.writer import insert_new
 from db.database import lock_head
 from db.encoding.measurement_rows import RowContent, StoredArrays, row_content, stored_arrays
 from db.encoding.segments import SegmentCache, sealed_contents
-from db.measurements.sequence_numbers import MAX_JUMP, NumberedRow, SequenceNumbers, Tail, blocks_of
+from db.measurements.sequence_numbers import BEFORE_ALL_US, MAX_JUMP, NumberedRow, SequenceNumbers, Tail, blocks_of
 from db.tables import head, measurement, source, source_key_run
 from service.errors import InvalidInputError, source_not_yours
 from service.records.epoch import format_epoch
@@ -287,7 +287,9 @@ class _Ingest:
         first_number = self._newest_number + 1
         if sender is not None and not state.is_as_before(sender):
             self._begin_key_run(state, sender)
-        is_late = _lateness(prepared.batch, self._consumed_epoch_us)[outcome.accepted]
+        # stale, or below the newest epoch that the chain has consumed
+        consumed_us = BEFORE_ALL_US if self._consumed_epoch_us is None else self._consumed_epoch_us
+        is_late = (prepared.batch.is_stale | (prepared.batch.epochs_us < consumed_us))[outcome.accepted]
         self._add(outcome, state, is_late)
         jumps = self._move(outcome, state)
         self._moved[name] = state
@@ -351,8 +353,8 @@ class _Ingest:
         newest_us = int(outcome.batch.batch.epochs_us[outcome.accepted].max())
         jumps = self._number(outcome, state)
         state.row_count += len(outcome.accepted)
-        state.newest_epoch_us = _later(newest_us, state.newest_epoch_us)
-        self._newest_epoch_us = _later(newest_us, self._newest_epoch_us)
+        state.newest_epoch_us = max(newest_us, state.newest_epoch_us or newest_us)
+        self._newest_epoch_us = max(newest_us, self._newest_epoch_us or newest_us)
         return jumps
 
     def _number(self, outcome: SortedRows, state: _Source) -> list[RowNotice]:
@@ -393,17 +395,8 @@ def _check_number(connection: Connection, sender: Sender) -> None:
         raise InvalidInputError("source.too_many", detail)
 
 
-def _lateness(batch: MeasurementBatch, consumed_us: int | None) -> BoolArray:
-    """Return which rows are late: stale, or below the newest epoch that the chain has consumed."""
-    return batch.is_stale if consumed_us is None else batch.is_stale | (batch.epochs_us < consumed_us)
-
-
 def _held_rows(outcome: SortedRows) -> Iterator[NumberedRow]:
     """Yield the rows of a batch that the archive holds after it, in order of place."""
     prepared, known = outcome.batch, set(outcome.duplicates)
     for position in sorted((*outcome.accepted.tolist(), *outcome.duplicates)):
         yield NumberedRow(prepared.seqs[position] or 0, prepared.epochs_us[position], position not in known)
-
-
-def _later(epoch_us: int, other_us: int | None) -> int:
-    return epoch_us if other_us is None else max(epoch_us, other_us)

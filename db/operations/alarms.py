@@ -215,8 +215,9 @@ class SqlNotes(Repository):
         """Store a note (its id is ignored) and return it with its id; NotFoundError ``note.unknown``."""
 
         def store(connection: Connection) -> Note:
-            if note.corrects is not None:
-                _check(connection, note.corrects)
+            corrected = select(note_table.c.note_id).where(note_table.c.note_id == note.corrects)
+            if note.corrects is not None and connection.scalar(corrected) is None:
+                raise _no_note(note.corrects)
             values = {"spacecraft_id": note.spacecraft_id, "epoch_us": note.epoch_us, "document": encode(note)}
             insert = note_table.insert().values(values).returning(note_table.c.note_id)
             return replace(note, id=int(connection.execute(insert).scalar_one()))
@@ -251,22 +252,10 @@ class SqlNotes(Repository):
         while (rows := self._database.write(led)) > 0:
             yield rows
 
-    def newest(self, limit: int, spacecraft_id: str | None = None) -> list[Note]:
-        """Return the notes with the greatest epochs, newest first."""
-        query = select(note_table).where(_about(spacecraft_id))
-        ordered = query.order_by(note_table.c.epoch_us.desc(), note_table.c.note_id.desc()).limit(limit)
-        return _notes_of(self._database.fetch(ordered))
-
     def last_written(self, limit: int, spacecraft_id: str | None = None) -> list[Note]:
         """Return the notes that were stored last, newest first, whatever instant they are about."""
         query = select(note_table).where(_about(spacecraft_id))
         return _notes_of(self._database.fetch(query.order_by(note_table.c.note_id.desc()).limit(limit)))
-
-
-def _check(connection: Connection, note_id: int) -> None:
-    """Raise NotFoundError unless a note exists."""
-    if connection.scalar(select(note_table.c.note_id).where(note_table.c.note_id == note_id)) is None:
-        raise _no_note(note_id)
 
 
 def _about(spacecraft_id: str | None) -> ColumnElement[bool]:

@@ -385,7 +385,8 @@ _HOUR_US = 3600 * US_PER_S
 _DAY_US = 24 * _HOUR_US
 #: keys that end within this are told, us
 _KEYS_US = 30 * _DAY_US
-_NOTES = 20
+#: newest notes that are told
+_NEWEST_NOTES = ListPart(Window(-_EVER_US, _EVER_US), 20, newest_first=True)
 _OPERATIONS = 200
 
 
@@ -403,6 +404,7 @@ def handover_of(context: ApiContext, spacecraft_id: str) -> documents.HandoverAn
         **dict(status.control),
         "authorised_until": None,
     }
+    notes = context.storage.notes.notes(_NEWEST_NOTES, spacecraft_id)
     return documents.HandoverAnswer.model_validate(
         {
             "spacecraft_id": spacecraft_id,
@@ -417,7 +419,7 @@ def handover_of(context: ApiContext, spacecraft_id: str) -> documents.HandoverAn
             "links": _link_members(context, spacecraft_id),
             "sources": _sources(context, spacecraft_id),
             "operations": _operations(context, spacecraft_id, now_us),
-            "notes": [documents.NoteAnswer.of(note) for note in context.storage.notes.newest(_NOTES, spacecraft_id)],
+            "notes": [documents.NoteAnswer.of(note) for note in notes],
             "notices": _notices(context),
         }
     )
