@@ -230,28 +230,28 @@ def flush(path: Path) -> None:
         os.close(descriptor)
 
 
-def sha256_of(path: Path, progress: Progress) -> str:
-    """Return the SHA-256 of a file, hexadecimal."""
-    digest, size = hashlib.sha256(), path.stat().st_size or 1
-    done = 0
+def _chunks(path: Path, progress: Progress) -> Iterator[bytes]:
+    size, done = path.stat().st_size or 1, 0
     with path.open("rb") as file:
         while chunk := file.read(_CHUNK):
-            digest.update(chunk)
+            yield chunk
             done += len(chunk)
             progress(done / size)
+
+
+def sha256_of(path: Path, progress: Progress) -> str:
+    """Return the SHA-256 of a file, hexadecimal."""
+    digest = hashlib.sha256()
+    for chunk in _chunks(path, progress):
+        digest.update(chunk)
     return digest.hexdigest()
 
 
 def copy_file(source: Path, target: Path, progress: Progress) -> None:
     """Copy the bytes of a file into a new one that only its owner can read."""
-    size = source.stat().st_size or 1
-    done = 0
-    with source.open("rb") as reading, target.open("xb") as writing:
+    with target.open("xb") as writing:
         target.chmod(0o600)
-        while chunk := reading.read(_CHUNK):
-            writing.write(chunk)
-            done += len(chunk)
-            progress(done / size)
+        writing.writelines(_chunks(source, progress))
 
 
 def disk_of(engine: Engine) -> tuple[int | None, bool | None]:

@@ -211,23 +211,21 @@ def _drop_some(
         consumed = select(head.c.consumed_number).where(head.c.spacecraft_key == key).scalar_subquery()
         # the sum keeps the planner on the key by epoch
         may_go = and_(is_old, part.number + 0 <= consumed)
-    names = connection.execute(
-        select(*part.key, part.rows.label("stands_for")).where(may_go).order_by(part.epoch_us).limit(part.at_once)
-    ).all()
-    if not names:
-        return 0
-    delete_named(connection, key, part.table, part.key, names)
-    rows = sum(int(name.stands_for) for name in names)
-    _count(connection, key, series, stop_us, rows)
+    rows = delete_some(connection, key, part, may_go, part.epoch_us)
+    if rows:
+        _count(connection, key, series, stop_us, rows)
     return rows
 
 
-def delete_named(
-    connection: Connection, key: int, table: Table, columns: tuple[ColumnElement[Any], ...], names: Any
-) -> None:
-    """Delete the rows of a spacecraft whose columns hold one of some names; of longer names the begin counts."""
-    wanted = [tuple(name)[: len(columns)] for name in names]
-    connection.execute(delete(table).where(table.c.spacecraft_key == key, tuple_(*columns).in_(wanted)))
+def delete_some(
+    connection: Connection, key: int, part: _Part, may_go: ColumnElement[bool], *order: ColumnElement[int]
+) -> int:
+    """Delete some rows of a spacecraft and count them; 0 when there are none."""
+    its = select(*part.key, part.rows).where(part.table.c.spacecraft_key == key, part.is_its, may_go)
+    names = connection.execute(its.order_by(*order).limit(part.at_once)).all()
+    is_named = tuple_(*part.key).in_([tuple(name)[:-1] for name in names])
+    connection.execute(delete(part.table).where(part.table.c.spacecraft_key == key, is_named))
+    return sum(int(name[-1]) for name in names)
 
 
 def _count(connection: Connection, key: int, series: str, stop_us: int, rows: int) -> None:

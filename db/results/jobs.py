@@ -33,7 +33,7 @@ from sqlalchemy.exc import IntegrityError
 from db.columns import agrees
 from db.database import Database, Repository, next_id
 from db.encoding.record_codec import decode, encode
-from db.measurements.closed_days import ATTITUDE_BYTES, PARTS, TORQUE_BYTES, delete_named
+from db.measurements.closed_days import ATTITUDE_BYTES, PARTS, TORQUE_BYTES, delete_some
 from db.measurements.measurement_pages import MAX_NUMBER
 from db.tables import calibration as calibration_table
 from db.tables import checkpoint, live_member, spacecraft
@@ -405,17 +405,9 @@ def _dropped(
     waiting = select(columns.replay_id).where(columns.spacecraft_key == key, columns.is_deleted, has_rows)
     for row in database.fetch(waiting):
         for part in (part for series in _SERIES for part in PARTS[series]):
-            step = partial(_drop_some, key=key, version=f"replay-{row.replay_id}", part=part)
+            is_its = part.table.c.version == f"replay-{row.replay_id}"
+            step = partial(delete_some, key=key, part=part, may_go=is_its)
             while (rows := database.write(step)) > 0:
                 yield rows
         emptied = update(replay_table).where(_is_replay(key, row.replay_id)).values(attitude_rows=0, torque_rows=0)
         database.write(partial(Connection.execute, statement=emptied))
-
-
-def _drop_some(connection: Connection, *, key: int, version: str, part: Any) -> int:
-    """Drop some rows of a version from a table and count them; 0 when there are none."""
-    table = part.table
-    is_its = (table.c.spacecraft_key == key, table.c.version == version, part.is_its)
-    names = connection.execute(select(*part.key, part.rows).where(*is_its).limit(part.at_once)).all()
-    delete_named(connection, key, table, part.key, names)
-    return sum(int(name[-1]) for name in names)
