@@ -218,7 +218,8 @@ def _numbers_of(connection: Connection, found: SegmentHead, ledger: Ledger) -> I
     """Return the numbers of a sealed day; None, and a note, when it cannot be read."""
     try:
         chunk = read_chunk(connection, None, found)
-        chunk.rows()
+        chunk.all_flags()
+        chunk.details()
     except StorageError as error:
         ledger.damaged.append(error.detail)
         return None
