@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from functools import partial
 from itertools import chain, count, repeat, zip_longest
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from sqlalchemy import ColumnElement, Connection, Row, Table, and_, bindparam, func, select, update
+from sqlalchemy import ColumnElement, Connection, Table, and_, bindparam, func, select, update
 
 from db.columns import sound_rows
 from db.connection.writer import insert_new
@@ -62,20 +62,14 @@ _ADVANCE = (
 )
 
 
-class Consumed(NamedTuple):
-    """Position of the consumer after the outcomes."""
-
-    number: int
-    epoch_us: int | None
-
-
 def store_outcomes(
     connection: Connection,
     key: int,
     version: str,
     outcomes: Sequence[Outcome],
-    consumed: Consumed,
-    checkpoint: Checkpoint | None = None,
+    consumed_number: int,
+    consumed_epoch_us: int | None,
+    checkpoint: Checkpoint | None,
 ) -> int:
     """Store outcomes and return the last result sequence; runs in the writer's transaction."""
     state = lock_head(connection, key)
@@ -93,7 +87,10 @@ def store_outcomes(
     if checkpoint is not None:
         store_checkpoint(connection, key, LIVE, checkpoint)
     sequence = int(state.result_sequence) + len(fresh)
-    _advance(connection, key, state, consumed, sequence)
+    # never back
+    epochs_us = [epoch_us for epoch_us in (state.consumed_epoch_us, consumed_epoch_us) if epoch_us is not None]
+    number, epoch_us = max(state.consumed_number, consumed_number), max(epochs_us, default=None)
+    connection.execute(_ADVANCE, {"key": key, "number": number, "epoch_us": epoch_us, "sequence": sequence})
     return sequence
 
 
@@ -155,13 +152,6 @@ def _insert(
     )
 
 
-def _advance(connection: Connection, key: int, state: Row[Any], consumed: Consumed, sequence: int) -> None:
-    """Move the consumer's head, never back."""
-    epochs_us = [epoch_us for epoch_us in (state.consumed_epoch_us, consumed.epoch_us) if epoch_us is not None]
-    number, epoch_us = max(state.consumed_number, consumed.number), max(epochs_us, default=None)
-    connection.execute(_ADVANCE, {"key": key, "number": number, "epoch_us": epoch_us, "sequence": sequence})
-
-
 class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
     """Results in a relational database."""
 
@@ -175,8 +165,7 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
         checkpoint: Checkpoint | None = None,
     ) -> int:
         """Store outcomes in one transaction and return the last result sequence."""
-        consumed = Consumed(consumed_number, consumed_epoch_us)
-        store = self._storing(spacecraft_id, version, outcomes, consumed, checkpoint)
+        store = self._storing(spacecraft_id, version, outcomes, consumed_number, consumed_epoch_us, checkpoint)
         return self._database.write(store, self._database.key(spacecraft_id))
 
     def submit_outcomes(
@@ -188,23 +177,15 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
         checkpoint: Checkpoint | None = None,
     ) -> Future[int]:
         """Queue live outcomes; the future gives the last sequence after the commit."""
-        consumed = Consumed(consumed_number, consumed_epoch_us)
-        store = self._storing(spacecraft_id, LIVE, outcomes, consumed, checkpoint)
+        store = self._storing(spacecraft_id, LIVE, outcomes, consumed_number, consumed_epoch_us, checkpoint)
         return self._database.submit(store, key=self._database.key(spacecraft_id))
 
-    def _storing(
-        self,
-        spacecraft_id: str,
-        version: str,
-        outcomes: Sequence[Outcome],
-        consumed: Consumed,
-        checkpoint: Checkpoint | None,
-    ) -> Callable[[Connection], int]:
+    def _storing(self, spacecraft_id: str, version: str, *what: Any) -> Callable[[Connection], int]:
         """Return the write that stores outcomes, under the lease of the spacecraft but for replays."""
         key = self._database.key(spacecraft_id)
 
         def store(connection: Connection) -> int:
-            return store_outcomes(connection, key, version, outcomes, consumed, checkpoint)
+            return store_outcomes(connection, key, version, *what)
 
         return self._database.leases.under(store, spacecraft_id) if version in (LIVE, SMOOTHED) else store
 
