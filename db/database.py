@@ -100,11 +100,11 @@ class Database:
         note = CURRENT_NOTE.get()
         if note is None or note.due is None:
             return self.submit(work, key=key).result()
-        deed = note.due
+        event = note.due
 
         def accompanied(connection: Connection) -> tuple[Result, AuditEntry]:
             result = work(connection)
-            return result, append_entry(connection, naming_result(deed, result))
+            return result, append_entry(connection, naming_result(event, result))
 
         result, note.entry = self.submit(accompanied).result()
         return result
