@@ -23,8 +23,8 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import parquet
 
-from service.formats.tabular.series_tables import JoinedRow, joined_table
-from service.formats.tabular.table_file import MeasurementColumns, table_bytes
+from service.formats.series_tables import JoinedRow, joined_table
+from service.formats.table_file import MeasurementColumns, table_bytes
 from service.pipeline.chain import Chain, ChainRow
 from service.pipeline.config import ChainConfig
 from service.pipeline.inputs.knowledge import JournalDocuments

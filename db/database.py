@@ -11,17 +11,17 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import asdict
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, Concatenate, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 from sqlalchemy import ColumnElement, Connection, Row, Select, Table, and_, bindparam, func, or_, select, true, update
 
 from db.connection.engines import open_engines, sqlite_path, translated_faults
-from db.connection.lease import FileLeases, SqlLeases
+from db.connection.lease import FileLeases, ServerLeases, SqlLeases
 from db.connection.writer import Writer, insert_new
 from db.encoding.record_codec import encode, kind_of
 from db.encoding.segments import SegmentCache
-from db.schema.tables import audit_entry, audit_head, head, journal, spacecraft
+from db.tables import audit_entry, audit_head, head, journal, spacecraft
 from service.errors import NotFoundError
 from service.ports.archive import Cursor, ListPart
 from service.records.calibration import Window
@@ -38,6 +38,7 @@ from service.records.operations.access import (
 )
 
 Result = TypeVar("Result")
+Arguments = ParamSpec("Arguments")
 PagedRow = TypeVar("PagedRow")
 #: above every limit
 ALL_ROWS = 1 << 62
@@ -74,12 +75,7 @@ class Database:
     def _opened_leases(self, url: str, limit_s: float) -> SqlLeases:
         """Return the leases of the archive; nothing is connected yet."""
         path = sqlite_path(url)
-        if path is not None:
-            return FileLeases(path, self._writer)
-        # the driver costs time and memory that a file does not need
-        from db.connection.lease import ServerLeases
-
-        return ServerLeases(url, limit_s, self.read)
+        return ServerLeases(url, limit_s, self.read) if path is None else FileLeases(path, self._writer)
 
     @contextmanager
     def read(self) -> Iterator[Connection]:
@@ -104,7 +100,13 @@ class Database:
         note = CURRENT_NOTE.get()
         if note is None or note.due is None:
             return self.submit(work, key=key).result()
-        result, note.entry = self.submit(accompanied(work, note.due)).result()
+        event = note.due
+
+        def accompanied(connection: Connection) -> tuple[Result, AuditEntry]:
+            result = work(connection)
+            return result, append_entry(connection, naming_result(event, result))
+
+        result, note.entry = self.submit(accompanied).result()
         return result
 
     @property
@@ -131,10 +133,6 @@ class Database:
                 raise NotFoundError("spacecraft.unknown", f"There is no spacecraft {spacecraft_id!r}.")
             self._keys[spacecraft_id] = key
         return key
-
-    def name(self, key: int) -> str:
-        """Return the id of a spacecraft whose key was asked for."""
-        return next(name for name, known in tuple(self._keys.items()) if known == key)
 
     def _announce(self, keys: frozenset[int]) -> None:
         """Announce committed changes to other processes."""
@@ -166,6 +164,29 @@ class Repository:
 
     def __init__(self, database: Database) -> None:
         self._database = database
+
+    @contextmanager
+    def _read(self, spacecraft_id: str) -> Iterator[tuple[Connection, int]]:
+        """Open a read transaction about a spacecraft, whose key comes with it."""
+        key = self._database.key(spacecraft_id)
+        with self._database.read() as connection:
+            yield connection, key
+
+    def _change(
+        self,
+        spacecraft_id: str,
+        work: Callable[Concatenate[Connection, int, Arguments], Result],
+        *arguments: Arguments.args,
+        **options: Arguments.kwargs,
+    ) -> Result:
+        """Do a write of a spacecraft, by its key, while no other writer may change it, and wait for the commit."""
+        key = self._database.key(spacecraft_id)
+
+        def write(connection: Connection) -> Result:
+            lock_head(connection, key)
+            return work(connection, key, *arguments, **options)
+
+        return self._database.write(write)
 
 
 def lock_head(connection: Connection, key: int) -> Row[Any]:
@@ -307,18 +328,6 @@ def append_entry(connection: Connection, event: AuditEvent) -> AuditEntry:
     connection.execute(audit_entry.insert().values(values))
     connection.execute(update(audit_head).values(number=entry.number, hash=entry.hash))
     return entry
-
-
-def accompanied(
-    work: Callable[[Connection], Result], event: AuditEvent
-) -> Callable[[Connection], tuple[Result, AuditEntry]]:
-    """Return a write that leaves its deed in the audit log: both are committed, or neither."""
-
-    def write(connection: Connection) -> tuple[Result, AuditEntry]:
-        result = work(connection)
-        return result, append_entry(connection, naming_result(event, result))
-
-    return write
 
 
 def lock_audit_head(connection: Connection) -> AuditHead:

@@ -11,7 +11,7 @@ from db.operations.catalogue import SqlCatalogue
 from db.operations.links import SqlLinks, SqlTraces
 from db.operations.releases import SqlReleases
 from db.results.results import SqlResults
-from db.schema.tables import LAYOUT, create_tables, head, layout_of, refusal
+from db.tables import LAYOUT, create_tables, head, layout_of, refusal
 from service.ports.storage import Storage
 from service.records.storage import StorageState
 

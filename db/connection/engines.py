@@ -24,7 +24,7 @@ from sqlalchemy import Connection, Engine, NullPool, create_engine, event, text
 from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, SQLAlchemyError
 
-from db.schema.tables import LAYOUT, layout_of
+from db.tables import LAYOUT, layout_of
 from service.errors import StorageError
 
 #: the server speaks first: an answer that says why is better than a closed connection, s
@@ -230,28 +230,28 @@ def flush(path: Path) -> None:
         os.close(descriptor)
 
 
-def sha256_of(path: Path, progress: Progress) -> str:
-    """Return the SHA-256 of a file, hexadecimal."""
-    digest, size = hashlib.sha256(), path.stat().st_size or 1
-    done = 0
+def _chunks(path: Path, progress: Progress) -> Iterator[bytes]:
+    size, done = path.stat().st_size or 1, 0
     with path.open("rb") as file:
         while chunk := file.read(_CHUNK):
-            digest.update(chunk)
+            yield chunk
             done += len(chunk)
             progress(done / size)
+
+
+def sha256_of(path: Path, progress: Progress) -> str:
+    """Return the SHA-256 of a file, hexadecimal."""
+    digest = hashlib.sha256()
+    for chunk in _chunks(path, progress):
+        digest.update(chunk)
     return digest.hexdigest()
 
 
 def copy_file(source: Path, target: Path, progress: Progress) -> None:
     """Copy the bytes of a file into a new one that only its owner can read."""
-    size = source.stat().st_size or 1
-    done = 0
-    with source.open("rb") as reading, target.open("xb") as writing:
+    with target.open("xb") as writing:
         target.chmod(0o600)
-        while chunk := reading.read(_CHUNK):
-            writing.write(chunk)
-            done += len(chunk)
-            progress(done / size)
+        writing.writelines(_chunks(source, progress))
 
 
 def disk_of(engine: Engine) -> tuple[int | None, bool | None]:
@@ -450,28 +450,22 @@ def _sqlite_engines(target: URL, busy_s: float) -> Engines:
         raise ValueError(message)
     write = create_engine(target, pool_size=1, max_overflow=0)
     read = create_engine(target, pool_size=READERS, max_overflow=READERS)
-    for engine in (write, read):
-        event.listen(engine, "connect", partial(_prepare, busy_s))
-    event.listen(read, "connect", _forbid_writing)
     watch = FileWatch(Path(target.database or ""))
-    event.listen(write, "connect", lambda *_: watch.note())
-    event.listen(read, "connect", lambda *_: watch.note())
-    event.listen(write, "begin", _begin_immediate)
-    event.listen(read, "begin", _begin)
-    for engine in (write, read):
+    # the write lock comes first: a reader that turns writer could only fail, never wait
+    for engine, begin in ((write, "BEGIN IMMEDIATE"), (read, "BEGIN")):
+        # connecting to a name without a file would make an empty one
+        event.listen(engine, "do_connect", lambda *_: watch.check())
+        event.listen(engine, "do_connect", lambda *_: make_private(watch.path))
+        event.listen(engine, "connect", partial(_prepare, busy_s))
+        event.listen(engine, "connect", lambda *_: watch.note())
+        # no transaction begins or ends on a file that is no longer there
+        event.listen(engine, "begin", lambda _: watch.check())
+        event.listen(engine, "begin", partial(Connection.exec_driver_sql, statement=begin))
         event.listen(engine, "commit", _commit)
-        _guard(engine, watch)
+        event.listen(engine, "commit", lambda _: watch.check())
+    event.listen(read, "connect", lambda connection, _: connection.execute("PRAGMA query_only=ON"))
     event.listen(write, "commit", lambda _: watch.confirm())
     return Engines(write, read)
-
-
-def _guard(engine: Engine, watch: FileWatch) -> None:
-    """Let no transaction of an engine begin or end on a file that is no longer there."""
-    # connecting to a name without a file would make an empty one
-    event.listen(engine, "do_connect", lambda *_: watch.check())
-    event.listen(engine, "do_connect", lambda *_: make_private(watch.path))
-    event.listen(engine, "begin", lambda _: watch.check(), insert=True)
-    event.listen(engine, "commit", lambda _: watch.check())
 
 
 def _prepare(busy_s: float, connection: Any, _record: object) -> None:
@@ -494,19 +488,6 @@ def _use_wal(connection: sqlite3.Connection, busy_s: float) -> None:
             time.sleep(_LOG_RETRY_S)
         else:
             return
-
-
-def _forbid_writing(connection: Any, _record: object) -> None:
-    connection.execute("PRAGMA query_only=ON")
-
-
-def _begin(connection: Connection) -> None:
-    connection.exec_driver_sql("BEGIN")
-
-
-def _begin_immediate(connection: Connection) -> None:
-    # the write lock comes first: a reader that turns writer could only fail, never wait
-    connection.exec_driver_sql("BEGIN IMMEDIATE")
 
 
 def _commit(connection: Connection) -> None:

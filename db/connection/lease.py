@@ -7,18 +7,18 @@ import os
 import socket
 import tempfile
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from psycopg import Error as DriverError
-from sqlalchemy import Connection, delete, select, text, update
+from sqlalchemy import Connection, Row, delete, select, text, update
 from sqlalchemy.engine import make_url
 from sqlalchemy.exc import SQLAlchemyError
 
 from db.connection.engines import end_stopped_writers, session_engine, translated_faults
-from db.schema.tables import LEASE_US, MEMBERS_LOCK, SERVER_NOW_US, lease, live_member, member
+from db.tables import LEASE_US, MEMBERS_LOCK, SERVER_NOW_US, lease, live_member, member
 from service.errors import StorageError
 from service.ports.storage import ARCHIVE, LeaseLoan, Leases, Term
 from service.records.epoch import US_PER_S
@@ -218,7 +218,8 @@ _LOCKED = text("SELECT pg_try_advisory_lock(:locks, :member)").bindparams(locks=
 _PROCESS = text("SELECT pg_backend_pid()")
 _LIVE = select(live_member.c.member_id, live_member.c.is_estimator)
 _LEASES = text(
-    "SELECT coalesce(spacecraft.id, lease.name), holder, term, spacecraft.id IS NULL "
+    # other: of no spacecraft, but of the archive, or of one that was deleted; holder and term are null before the first
+    "SELECT coalesce(spacecraft.id, lease.name) AS name, holder, term, spacecraft.id IS NULL AS is_other "
     "FROM lease FULL JOIN spacecraft ON spacecraft.id = lease.name ORDER BY 1"
 )
 _MAKE = text(
@@ -241,16 +242,6 @@ _NO_SESSION = (
     "the database's URL leads to a pooler that changes the server's session between transactions, in which locks and "
     "notifications do not hold: let the pooler run in session mode, or connect to the server itself"
 )
-
-
-class _Lease(NamedTuple):
-    """Lease as it is stored; holder and term None = not yet."""
-
-    name: str
-    holder: int | None
-    term: int | None
-    #: of no spacecraft: the archive, or one that was deleted
-    is_other: bool
 
 
 class ServerLeases:
@@ -415,17 +406,17 @@ class ServerLeases:
         if self._live - set(live):
             self._ended += 1
         self._live = frozenset(live)
-        leases = [_Lease(*each) for each in session.execute(_LEASES)]
+        leases = session.execute(_LEASES).all()
         missing = [each.name for each in leases if each.term is None]
         if missing or ARCHIVE not in {each.name for each in leases}:
             session.execute(_MAKE, {"names": [ARCHIVE, *missing]})
-            leases = [_Lease(*each) for each in session.execute(_LEASES)]
+            leases = session.execute(_LEASES).all()
         held = self._acquired(session, leases, live) if is_estimator else self._given_back(session, leases)
         if ARCHIVE in held or any(each.name == ARCHIVE and each.holder in live for each in leases):
             self._led_s = time.monotonic()
         return held
 
-    def _acquired(self, session: Connection, leases: list[_Lease], live: dict[int, bool]) -> dict[str, int]:
+    def _acquired(self, session: Connection, leases: Sequence[Row[Any]], live: dict[int, bool]) -> dict[str, int]:
         """Acquire leases that are free up to the share of this process, and give back those above it."""
         held = {each.name: each.term or 0 for each in leases if each.holder == self.member}
         spacecraft = [each for each in leases if not each.is_other]
@@ -443,7 +434,7 @@ class ServerLeases:
             session.execute(_GIVE_BACK, {"names": above, "member": self.member})
         return {name: term for name, term in held.items() if name not in above}
 
-    def _given_back(self, session: Connection, leases: list[_Lease]) -> dict[str, int]:
+    def _given_back(self, session: Connection, leases: Sequence[Row[Any]]) -> dict[str, int]:
         """Give back every lease: this process is no estimator."""
         held = [each.name for each in leases if each.holder == self.member]
         if held:

@@ -1,7 +1,6 @@
 """The writer: one thread that commits what callers wait for, with the statements that it prepares."""
 
 import logging
-import sqlite3
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
@@ -9,28 +8,15 @@ from functools import lru_cache
 from itertools import groupby
 from queue import Empty, SimpleQueue
 from threading import Lock, Thread
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, Generic, TypeVar
 
 from sqlalchemy import Connection, Engine, Table
-from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.engine import Dialect
-from sqlalchemy.exc import DBAPIError, OperationalError, SQLAlchemyError
+from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 
+from db.columns import checksums_of
 from db.connection.engines import storage_error
-from db.schema.columns import checksums_of
 from service.errors import StorageError
-
-
-def run_bare(connection: Connection, text: str, values: tuple[Any, ...]) -> sqlite3.Cursor:
-    """Run a statement on SQLite's driver; its faults come as those of SQLAlchemy."""
-    driver: Any = connection.connection.driver_connection
-    try:
-        cursor: sqlite3.Cursor = driver.execute(text, values)
-    except sqlite3.Error as fault:
-        # the values stay out of it: they are blobs of whole batches
-        raise OperationalError(text, None, fault) from fault
-    return cursor
-
 
 #: serialization_failure, deadlock_detected: one of two transactions was ended, the other went on
 _PASSING = frozenset({"40001", "40P01"})
@@ -58,43 +44,36 @@ def _state_of(fault: BaseException) -> str | None:
     return None if found is None else str(found)
 
 
-class _Insertion(NamedTuple):
-    """Statement in a dialect."""
+def insert_new(
+    connection: Connection, table: Table, columns: Mapping[str, Sequence[Any]], *, may_exist: bool = True
+) -> int:
+    """Insert rows by columns; return how many were new: those whose primary key exists stay as they are.
 
-    text: str
-    #: columns in the order of their values
-    names: tuple[str, ...]
-    #: what makes of a value that of the driver, by column; None = it is the value
-    converted: tuple[Callable[[Any], Any] | None, ...]
-
-
-def insert_new(connection: Connection, table: Table, columns: Mapping[str, Sequence[Any]]) -> int:
-    """Insert rows by columns; return how many were new: those whose primary key exists stay as they are."""
+    Where none may exist, one that does is an error.
+    """
     if not len(next(iter(columns.values()))):
         return 0
     if "checksum" in table.c:
         columns = {**columns, "checksum": checksums_of(table, columns)}
-    dialect = connection.dialect
-    text, names, converted = _insertion(dialect, table, tuple(columns))
-    stored = (
-        columns[name] if convert is None else map(convert, columns[name])
-        for name, convert in zip(names, converted, strict=True)
-    )
-    values: Any = list(zip(*stored, strict=True))
-    if not dialect.positional:
-        values = [dict(zip(names, each, strict=True)) for each in values]
-    return connection.exec_driver_sql(text, values, execution_options={"preserve_rowcount": True}).rowcount
+    text, converters = _insertion(connection.dialect, table, tuple(columns), may_exist)
+    pairs = zip(columns.values(), converters, strict=True)
+    stored = (column if convert is None else map(convert, column) for column, convert in pairs)
+    rows = list(zip(*stored, strict=True))
+    return connection.exec_driver_sql(text, rows, execution_options={"preserve_rowcount": True}).rowcount
 
 
 @lru_cache(maxsize=64)
-def _insertion(dialect: Dialect, table: Table, columns: tuple[str, ...]) -> _Insertion:
-    """Return the statement that gives values to some columns of a table."""
-    insert = sqlite.insert if dialect.name == "sqlite" else postgresql.insert
-    statement = insert(table).on_conflict_do_nothing().inline()
-    compiled: Any = statement.compile(dialect=dialect, column_keys=list(columns))
-    names = tuple(compiled.positiontup) if dialect.positional else columns
+def _insertion(
+    dialect: Dialect,
+    table: Table,
+    names: tuple[str, ...],
+    may_exist: bool,  # noqa: FBT001 - a key of the cache
+) -> tuple[str, tuple[Callable[[Any], Any] | None, ...]]:
+    """Return the statement that gives values to some columns, and what makes of each value that of the driver."""
+    marks = ", ".join(["?" if dialect.positional else "%s"] * len(names))
+    text = f"INSERT INTO {table.name} ({', '.join(names)}) VALUES ({marks})"  # noqa: S608 - names of the schema
     kinds = (table.c[name].type.dialect_impl(dialect) for name in names)
-    return _Insertion(str(compiled), names, tuple(kind.bind_processor(dialect) for kind in kinds))
+    return f"{text} ON CONFLICT DO NOTHING" if may_exist else text, tuple(k.bind_processor(dialect) for k in kinds)
 
 
 Result = TypeVar("Result")
@@ -232,7 +211,9 @@ class Writer:
             try:
                 with self._engine.connect().execution_options(written_keys=_keys_of(group)) as connection:
                     if not _is_run_together(connection, group):
-                        _run_apart(connection, group)
+                        with connection.begin():
+                            for task in group:
+                                _attempt(connection, task)
             except SQLAlchemyError as fault:
                 if attempt == ATTEMPTS or not is_passing(fault):
                     raise
@@ -294,15 +275,8 @@ def _run_in_turn(connection: Connection, group: list[_Task[Any]]) -> None:
                 task.result = result
 
 
-def _run_apart(connection: Connection, group: list[_Task[Any]]) -> None:
-    """Run a group with a savepoint around each function and commit it."""
-    with connection.begin():
-        for task in group:
-            _attempt(connection, task)
-
-
 def _attempt(connection: Connection, task: _Task[Any]) -> None:
-    """Run one function inside the transaction of its group."""
+    """Run one function inside the transaction of its group, with a savepoint around it."""
     savepoint = connection.begin_nested()
     try:
         task.result = task.work(connection)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import Column, ColumnElement, Connection, Select, Table, and_, bindparam, select, tuple_
 
+from db.columns import agrees
 from db.encoding.column_blob import ColumnBlob, decimals, levels_of
 from db.encoding.measurement_rows import (
     RowContent,
@@ -24,9 +25,8 @@ from db.encoding.measurement_rows import (
     row_content,
     stored_arrays,
 )
-from db.schema.columns import agrees
-from db.schema.tables import measurement, source, spacecraft
-from db.schema.tables import segment as segment_table
+from db.tables import measurement, source, spacecraft
+from db.tables import segment as segment_table
 from service.errors import StorageError
 from service.records.epoch import US_PER_S, format_epoch
 from service.records.levels.attitude import BoolArray, IntArray
@@ -101,44 +101,33 @@ def series_of(head: SegmentHead, table: Table) -> RowSeries:
     return RowSeries(head.spacecraft_key, table, head.version, head.method, head.source_key, head.plan_id)
 
 
-class MeasuredColumns(NamedTuple):
-    """Measurements of one source under one plan, in order of epoch."""
-
-    #: (T,) microseconds UTC, ascending
-    epochs_us: IntArray
-    #: (T,) journal numbers
-    numbers: IntArray
-    #: (T,) microseconds UTC
-    received_at_us: IntArray
-    #: (T,) each
-    feeds: BoolArray
-    is_late: BoolArray
-    has_flags: BoolArray
-    #: (T,) sequence numbers, -1 where there is none
-    seqs: IntArray
-    #: (T, N) dBm
-    power_dbm: Float32Array
-    #: (T, N) bit masks, 0 where a row has none
-    flags: NDArray[np.int32]
-    #: (T, K, N), K = len(DETAIL_NAMES), NaN = not stated
-    details: Float32Array
+#: columns of a blob that every row has a value in; of a sequence number that there is not, -1
+PLAIN_COLUMNS = ("epoch_us", "number", "received_at_us", "feeds", "is_late", "has_flags", "seq")
 
 
-def measured_arrays(rows: MeasuredColumns) -> dict[str, Any]:
-    """Return measurements as the columns of a blob; flags and details stand there for carriers that have any."""
-    columns: dict[str, Any] = {
-        "epoch_us": rows.epochs_us,
-        "number": rows.numbers,
-        "received_at_us": rows.received_at_us,
-        "feeds": rows.feeds,
-        "is_late": rows.is_late,
-        "has_flags": rows.has_flags,
-        "seq": rows.seqs,
-    }
-    columns |= {f"{_POWER}{k}": _level_column(power_dbm) for k, power_dbm in enumerate(rows.power_dbm.T)}
-    columns |= {f"{_FLAGS}{k}": masks for k, masks in enumerate(rows.flags.T) if masks.any()}
+def measured_arrays(
+    plain: Mapping[str, Any], power_dbm: Float32Array, flags: NDArray[np.int32], details: Float32Array
+) -> dict[str, Any]:
+    """Return measurements of one source under one plan as the columns of a blob.
+
+    Flags and details stand there for carriers that have any.
+
+    Parameters
+    ----------
+    plain : mapping
+        Values of ``PLAIN_COLUMNS``, T each, in order of epoch.
+    power_dbm : ndarray, shape (T, N)
+        dBm.
+    flags : ndarray, shape (T, N)
+        Bit masks, 0 where a row has none.
+    details : ndarray, shape (T, K, N)
+        Figures of DETAIL_NAMES, NaN = not stated.
+    """
+    columns = {name: plain[name] for name in PLAIN_COLUMNS}
+    columns |= {f"{_POWER}{k}": _level_column(levels) for k, levels in enumerate(power_dbm.T)}
+    columns |= {f"{_FLAGS}{k}": masks for k, masks in enumerate(flags.T) if masks.any()}
     for kind, name in enumerate(DETAIL_NAMES):
-        figures = ((k, rows.details[:, kind, k]) for k in range(rows.details.shape[2]))
+        figures = ((k, details[:, kind, k]) for k in range(details.shape[2]))
         columns |= {f"{name}_{k}": _level_column(each) for k, each in figures if not np.isnan(each).all()}
     return columns
 
@@ -155,8 +144,7 @@ class MeasurementSegment:
     def __init__(self, head: SegmentHead, blob: ColumnBlob, name: str) -> None:
         self.source, self.plan_id = name, head.plan_id
         self._blob = blob
-        names = ("epoch_us", "number", "received_at_us", "feeds", "is_late", "has_flags", "seq")
-        columns = blob.whole(*names)
+        columns = blob.whole(*PLAIN_COLUMNS)
         #: of the blob, in memory
         self.blob_bytes = blob.size
         if [column.dtype.kind for column in columns] != [*"iiibbbi"]:
@@ -196,12 +184,6 @@ class MeasurementSegment:
             for name, column in columns.items():
                 self._flags[:, int(name.removeprefix(_FLAGS))] = column.to_numpy(zero_copy_only=False)
         return self._flags
-
-    def rows(self) -> MeasuredColumns:
-        """Return all rows as columns."""
-        claims = (self.feeds, self._is_late, self._has_flags)
-        powers = (self.power_dbm(), self.all_flags(), self.details())
-        return MeasuredColumns(self.epochs_us, self.numbers, self.received_at_us, *claims, self._seqs, *powers)
 
     def content(self, position: int) -> RowContent:
         """Return the content of a row."""

@@ -23,7 +23,6 @@ from typing import Any, NamedTuple
 from sqlalchemy import Connection, Integer, Table, func, select, text
 from sqlalchemy.exc import SQLAlchemyError
 
-import db.schema.tables  # noqa: F401 - brings every table along
 from db.connection.engines import (
     COMPANIONS,
     Progress,
@@ -36,7 +35,7 @@ from db.connection.engines import (
     sqlite_path,
 )
 from db.maintenance.integrity_check import damage_of, examine, examine_content
-from db.schema.tables import LAYOUT, archive_layout, create_tables, head, layout_of, metadata, refusal, spacecraft
+from db.tables import LAYOUT, archive_layout, create_tables, head, layout_of, metadata, refusal, spacecraft
 from service.records.storage import BackupError, Diagnosis, Manifest, SpacecraftCount, sqlite_url, worst
 
 _ROWS = 2000

@@ -10,12 +10,13 @@ from sqlalchemy import ColumnElement, Connection, Engine, Table, func, select, t
 from sqlalchemy.exc import SQLAlchemyError
 
 from db.connection.engines import COMPANIONS, open_engines, reading_engine, sqlite_path, translated_faults
+from db.connection.lease import leaders_of
 from db.encoding.record_codec import decode, decode_all
 from db.maintenance.backup import Report as BackupReport
 from db.maintenance.backup import Restored, create_backup, restore_backup, verify_backup
 from db.maintenance.integrity_check import Report, examine, guarded
-from db.measurements.journal_heads import compared_heads
-from db.schema.tables import (
+from db.measurements.measurement_pages import compared_heads
+from db.tables import (
     alarm,
     alignment,
     calibration,
@@ -256,8 +257,6 @@ def _estimator(connection: Connection) -> Iterator[Diagnosis]:
 
 def _leaders(connection: Connection) -> Iterator[Diagnosis]:
     """Yield which process leads which spacecraft."""
-    from db.connection.lease import leaders_of
-
     leaders = leaders_of(connection)
     for process in sorted(set(leaders.values())):
         names = ", ".join(sorted(name or "the archive" for name, each in leaders.items() if each == process))

@@ -4,22 +4,23 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import chain
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import ColumnElement, Connection, Row, Select, Table, func, select
 from sqlalchemy.exc import SQLAlchemyError
 
+from db.columns import row_name, soundness
 from db.database import Database
-from db.documents import damaged_documents
+from db.encoding.record_codec import damaged_documents
 from db.encoding.segments import SegmentHead, heads_where, of_measurements, read_chunk, series_of
 from db.measurements.closed_days import MeasurementRows
 from db.operations.access import SqlAudit
 from db.results.result_samples import ResultRows
 from db.results.stored_rows import TABLES, read_results
-from db.schema.columns import row_name, soundness
-from db.schema.tables import (
+from db.sealing import Bins, RowKind, differences
+from db.tables import (
     LAYOUT,
     attitude,
     head,
@@ -35,8 +36,6 @@ from db.schema.tables import (
     summary,
     torque,
 )
-from db.sealing import RowKind
-from db.summaries import Bins, differences
 from service.errors import StorageError
 from service.ports.archive import LIVE
 from service.records.epoch import format_epoch
@@ -203,11 +202,6 @@ def named(numbers: list[int]) -> str:
     return shown if len(numbers) <= _NAMED else f"{shown} and {len(numbers) - _NAMED} more"
 
 
-def heads_of_all(connection: Connection) -> list[Row[Any]]:
-    """Return the heads of all spacecraft."""
-    return list(connection.execute(select(head).order_by(head.c.spacecraft_key)))
-
-
 def _add_segments(connection: Connection, key: int, ledger: Ledger) -> None:
     """Count the numbers of sealed days in, and note which days are damaged."""
     for found in heads_where(connection, *of_measurements(key)):
@@ -224,7 +218,8 @@ def _numbers_of(connection: Connection, found: SegmentHead, ledger: Ledger) -> I
     """Return the numbers of a sealed day; None, and a note, when it cannot be read."""
     try:
         chunk = read_chunk(connection, None, found)
-        chunk.rows()
+        chunk.all_flags()
+        chunk.details()
     except StorageError as error:
         ledger.damaged.append(error.detail)
         return None
@@ -252,8 +247,7 @@ def _numbers(connection: Connection, table: Table, condition: ColumnElement[bool
         yield np.fromiter((row[0] for row in rows), dtype=np.int64, count=len(rows))
 
 
-_Item = TypeVar("_Item")
-#: segments of a series whose summaries are compared with their rows
+#: segments of a series, about, whose summaries are compared with their rows
 _COMPARED = 10
 _ADVICE = "Charts and timelines of these days are wrong, exports are not. Restore a backup that is known to be sound."
 
@@ -263,7 +257,8 @@ def compare_summaries(connection: Connection, key: int, name: str) -> Iterator[D
     compared, wrong = 0, []
     for series in (measurement, *TABLES.values()):
         its = list(heads_where(connection, segment.c.spacecraft_key == key, segment.c.series == series.name))
-        for found in _evenly(its):
+        # evenly chosen, the first among them
+        for found in its[:: max(1, len(its) // _COMPARED)]:
             kind: RowKind = MeasurementRows() if series is measurement else ResultRows()
             try:
                 rows = kind.sealed(connection, found)
@@ -277,11 +272,6 @@ def compare_summaries(connection: Connection, key: int, name: str) -> Iterator[D
         yield Diagnosis("summaries", "fault", detail, _ADVICE)
     else:
         yield Diagnosis("summaries", "ok", f"{name}: {compared} summaries compared with their rows")
-
-
-def _evenly(found: Sequence[_Item]) -> Sequence[_Item]:
-    """Return about ``_COMPARED`` of some items, the first among them."""
-    return found[:: max(1, len(found) // _COMPARED)]
 
 
 def _agree(connection: Connection, found: SegmentHead, made: Bins) -> bool:
@@ -327,7 +317,7 @@ def examine_content(connection: Connection, report: Report) -> list[Diagnosis]:
     found: list[Diagnosis] = []
     try:
         names = {row.spacecraft_key: row.id for row in connection.execute(select(spacecraft))}
-        states = heads_of_all(connection)
+        states = connection.execute(select(head).order_by(head.c.spacecraft_key)).all()
     except SQLAlchemyError as fault:
         return [_unreadable("journal", fault)]
     report("checksums")

@@ -14,16 +14,36 @@ from typing import Any
 import numpy as np
 from sqlalchemy import Connection, Row, Select, and_, bindparam, func, or_, select, update
 
-from db.database import Database, EpochSpan, add_entries, count_entries, lock_head, next_id, page_of, within
+from db.columns import sound_rows
+from db.database import (
+    Database,
+    EpochSpan,
+    Repository,
+    add_entries,
+    count_entries,
+    lock_head,
+    next_id,
+    page_of,
+    within,
+)
 from db.encoding.record_codec import decode, decode_all, decode_input, encode, kind_of
 from db.encoding.segments import DAY_US, SegmentCache
 from db.measurements import closed_days
 from db.measurements.closed_days import seal_measurements
 from db.measurements.ingest import StoreBatch, prepare
-from db.measurements.journal_heads import HEAD_COLUMNS, SOURCE_COLUMNS, head_states, journal_heads, source_state
-from db.measurements.measurement_pages import EVER, UNCHECKED, Chosen, MeasurementPages, sampled_powers
-from db.schema.columns import sound_rows
-from db.schema.tables import carrier_plan, head, journal, operation, source, source_key_run, spacecraft
+from db.measurements.measurement_pages import (
+    EVER,
+    HEAD_COLUMNS,
+    SOURCE_COLUMNS,
+    UNCHECKED,
+    Chosen,
+    MeasurementPages,
+    head_states,
+    journal_heads,
+    sampled_powers,
+    source_state,
+)
+from db.tables import carrier_plan, head, journal, operation, source, source_key_run, spacecraft
 from service.errors import InvalidInputError, NotFoundError
 from service.ports.archive import Cursor, Intervals, ListPart, MeasuredFigure, SampledPowers
 from service.records.calibration import Window
@@ -107,7 +127,6 @@ def store_inputs(connection: Connection, key: int, records: Sequence[SlowInput])
 
 def store_operation(connection: Connection, key: int, record: Operation) -> Operation:
     """Store and journal a new operation."""
-    lock_head(connection, key)
     stored = replace(record, id=next_id(connection, operation, "operation_id", key), revision=1)
     number = _journal_operation(connection, key, stored)
     values = {"spacecraft_key": key, "operation_id": stored.id, "revision": 1, "number": number}
@@ -117,7 +136,6 @@ def store_operation(connection: Connection, key: int, record: Operation) -> Oper
 
 def revise_operation(connection: Connection, key: int, record: Operation) -> Operation:
     """Store and journal a changed operation under the next revision."""
-    lock_head(connection, key)
     is_it = (operation.c.spacecraft_key == key, operation.c.operation_id == record.id)
     revision = connection.scalar(select(operation.c.revision).where(*is_it))
     if revision is None:
@@ -177,11 +195,11 @@ _KEY_RUNS = (
 )
 
 
-class SqlArchive:
+class SqlArchive(Repository):
     """Archive in a relational database."""
 
     def __init__(self, database: Database) -> None:
-        self._database = database
+        super().__init__(database)
         #: carriers of the plans met; a stored plan never changes
         self._carriers: dict[tuple[int, int], tuple[str, ...]] = {}
         self._listener: Callable[[MeasurementBatch, BatchReceipt], None] | None = None
@@ -209,13 +227,11 @@ class SqlArchive:
 
     def add_operation(self, spacecraft_id: str, operation: Operation) -> Operation:
         """Store and journal an operation (its id is ignored) and return it with its id."""
-        key = self._database.key(spacecraft_id)
-        return self._database.write(lambda connection: store_operation(connection, key, operation))
+        return self._change(spacecraft_id, store_operation, operation)
 
     def replace_operation(self, spacecraft_id: str, operation: Operation) -> Operation:
         """Store and journal a changed operation under the next revision."""
-        key = self._database.key(spacecraft_id)
-        return self._database.write(lambda connection: revise_operation(connection, key, operation))
+        return self._change(spacecraft_id, revise_operation, operation)
 
     def operation(self, spacecraft_id: str, operation_id: int) -> Operation:
         """Return the newest revision of one operation."""
@@ -242,13 +258,11 @@ class SqlArchive:
 
     def select_source(self, spacecraft_id: str, source: str) -> SourceState:
         """Make a source the prime one, journaled; rows stored from then on feed the estimator."""
-        key = self._database.key(spacecraft_id)
-        return self._database.write(lambda connection: _select_source(connection, key, source))
+        return self._change(spacecraft_id, _select_source, source)
 
     def head(self, spacecraft_id: str) -> HeadState:
         """Return where journal and consumer stand."""
-        key = self._database.key(spacecraft_id)
-        with self._database.read() as connection:
+        with self._read(spacecraft_id) as (connection, key):
             return HeadState(*connection.execute(select(*HEAD_COLUMNS).where(head.c.spacecraft_key == key)).one())
 
     def heads(self) -> dict[str, HeadState]:
@@ -263,8 +277,7 @@ class SqlArchive:
 
     def journal(self, spacecraft_id: str, after: int, limit: int, *, is_compared: bool = False) -> list[JournalEntry]:
         """Return at most ``limit`` entries with a number above ``after``, in order."""
-        key = self._database.key(spacecraft_id)
-        with self._database.read() as connection:
+        with self._read(spacecraft_id) as (connection, key):
             entries = self._entries(connection, key, after, limit, is_compared=is_compared)
             if not entries and (following := self._next_number(connection, key, after)) is not None:
                 # retention has taken away what followed
@@ -311,9 +324,8 @@ class SqlArchive:
 
     def newest_measurement(self, spacecraft_id: str) -> Measurement | None:
         """Return the newest row of the prime source."""
-        key = self._database.key(spacecraft_id)
-        prime = select(source.c.source_key, source.c.newest_epoch_us).where(source.c.spacecraft_key == key)
-        with self._database.read() as connection:
+        with self._read(spacecraft_id) as (connection, key):
+            prime = select(source.c.source_key, source.c.newest_epoch_us).where(source.c.spacecraft_key == key)
             newest = connection.execute(prime.where(source.c.is_prime)).first()
             if newest is None:
                 return None
@@ -321,10 +333,9 @@ class SqlArchive:
 
     def measurements(self, spacecraft_id: str, part: ListPart, source: str | None = None) -> list[Measurement]:
         """Return rows in order of (epoch, number) beyond a cursor; every source unless one is named."""
-        with self._database.read() as connection:
-            pages = self._pages(connection, self._database.key(spacecraft_id))
-            found = pages.records(part, source)
-            return _with_keys(connection, pages, found)
+        with self._read(spacecraft_id) as (connection, key):
+            pages = self._pages(connection, key)
+            return _with_keys(connection, pages, pages.records(part, source))
 
     def measurement_blocks(
         self, spacecraft_id: str, window: Window, *, source: str | None = None, feeds_estimator_only: bool = False
@@ -360,8 +371,7 @@ class SqlArchive:
 
     def plan_ids(self, spacecraft_id: str, window: Window) -> tuple[int, ...]:
         """Return the numbers of the carrier plans under which the rows of a window were stored, ascending."""
-        key = self._database.key(spacecraft_id)
-        with self._database.read() as connection:
+        with self._read(spacecraft_id) as (connection, key):
             return tuple(sorted(self._pages(connection, key).plan_ids(window)))
 
     def measurements_after(self, spacecraft_id: str, epoch_us: int, before_number: int) -> Iterator[Measurement]:
@@ -384,8 +394,7 @@ class SqlArchive:
 
     def last_number(self, spacecraft_id: str, window: Window) -> int:
         """Return a journal number behind which no row lies in a window; 0 where none does at all."""
-        key = self._database.key(spacecraft_id)
-        with self._database.read() as connection:
+        with self._read(spacecraft_id) as (connection, key):
             return self._pages(connection, key).last_number(window)
 
     def measurement_series(self, spacecraft_id: str, window: Window, carrier_ids: Sequence[str]) -> MeasurementSeries:
@@ -441,8 +450,7 @@ class SqlArchive:
 
     def kept_from_us(self, spacecraft_id: str, series: str) -> int:
         """Return the epoch from which on a series is kept."""
-        key = self._database.key(spacecraft_id)
-        with self._database.read() as connection:
+        with self._read(spacecraft_id) as (connection, key):
             return closed_days.kept_from_us(connection, key, series)
 
     def _pages(self, connection: Connection, key: int) -> MeasurementPages:
@@ -487,7 +495,6 @@ def _newest_operations(query: Select[Any], key: int) -> Select[Any]:
 
 
 def _select_source(connection: Connection, key: int, name: str) -> SourceState:
-    lock_head(connection, key)
     is_it = (source.c.spacecraft_key == key, source.c.name == name)
     if connection.execute(select(source).where(*is_it)).first() is None:
         raise NotFoundError("source.unknown", f"No source {name!r} has sent measurements of this spacecraft.")

@@ -31,14 +31,14 @@ from db.database import Database, lock_head
 from db.encoding.measurement_rows import measurement_of
 from db.encoding.segments import (
     DAY_US,
-    MeasuredColumns,
     RowSeries,
     SegmentHead,
     day_of,
     measured_arrays,
     read_chunk,
 )
-from db.schema.tables import (
+from db.sealing import Bins, Change, bins_of, seal_day
+from db.tables import (
     attitude,
     head,
     measurement,
@@ -48,8 +48,6 @@ from db.schema.tables import (
     torque,
     trace,
 )
-from db.sealing import Change, seal_day
-from db.summaries import Bins, bins_of
 from service.records.levels.measurement import DETAIL_NAMES, Measurement
 from service.records.storage import RetiredRows, SealedPart
 
@@ -212,23 +210,21 @@ def _drop_some(
         consumed = select(head.c.consumed_number).where(head.c.spacecraft_key == key).scalar_subquery()
         # the sum keeps the planner on the key by epoch
         may_go = and_(is_old, part.number + 0 <= consumed)
-    names = connection.execute(
-        select(*part.key, part.rows.label("stands_for")).where(may_go).order_by(part.epoch_us).limit(part.at_once)
-    ).all()
-    if not names:
-        return 0
-    delete_named(connection, key, part.table, part.key, names)
-    rows = sum(int(name.stands_for) for name in names)
-    _count(connection, key, series, stop_us, rows)
+    rows = delete_some(connection, key, part, may_go, part.epoch_us)
+    if rows:
+        _count(connection, key, series, stop_us, rows)
     return rows
 
 
-def delete_named(
-    connection: Connection, key: int, table: Table, columns: tuple[ColumnElement[Any], ...], names: Any
-) -> None:
-    """Delete the rows of a spacecraft whose columns hold one of some names; of longer names the begin counts."""
-    wanted = [tuple(name)[: len(columns)] for name in names]
-    connection.execute(delete(table).where(table.c.spacecraft_key == key, tuple_(*columns).in_(wanted)))
+def delete_some(
+    connection: Connection, key: int, part: _Part, may_go: ColumnElement[bool], *order: ColumnElement[int]
+) -> int:
+    """Delete some rows of a spacecraft and count them; 0 when there are none."""
+    its = select(*part.key, part.rows).where(part.table.c.spacecraft_key == key, part.is_its, may_go)
+    names = connection.execute(its.order_by(*order).limit(part.at_once)).all()
+    is_named = tuple_(*part.key).in_([tuple(name)[:-1] for name in names])
+    connection.execute(delete(part.table).where(part.table.c.spacecraft_key == key, is_named))
+    return sum(int(name[-1]) for name in names)
 
 
 def _count(connection: Connection, key: int, series: str, stop_us: int, rows: int) -> None:
@@ -256,10 +252,27 @@ class MeasurementRows:
     def columns_and_bins(self, of: RowSeries, rows: Sequence[Any]) -> tuple[dict[str, Any], Bins]:  # noqa: ARG002
         """Return rows as the columns of a segment, and the bins of powers and of C/N0 in the order of the plan."""
         # a segment states its source once
-        columns = _columns([row if isinstance(row, Measurement) else measurement_of(row, "") for row in rows])
-        c_n0_db_hz = columns.details[:, DETAIL_NAMES.index(_C_N0)]
-        of_powers = bins_of("power_dbm", columns.epochs_us, columns.power_dbm)
-        return measured_arrays(columns), of_powers | bins_of(_C_N0, columns.epochs_us, c_n0_db_hz)
+        records = [row if isinstance(row, Measurement) else measurement_of(row, "") for row in rows]
+        power_dbm = np.array([row.power_dbm for row in records]).astype(np.float32)
+        flags = np.zeros(power_dbm.shape, dtype=np.int32)
+        details = np.full((len(records), len(DETAIL_NAMES), power_dbm.shape[1]), np.nan, dtype=np.float32)
+        for position, row in enumerate(records):
+            if row.flags is not None:
+                flags[position] = row.flags
+            if row.details is not None:
+                details[position] = [getattr(row.details, name) for name in DETAIL_NAMES]
+        plain: dict[str, Any] = {
+            "epoch_us": np.array([row.epoch_us for row in records]),
+            "number": [row.number for row in records],
+            "received_at_us": [row.received_at_us for row in records],
+            "feeds": np.array([row.feeds_estimator for row in records]),
+            "is_late": [row.is_late for row in records],
+            "has_flags": [row.flags is not None for row in records],
+            "seq": [-1 if row.seq is None else row.seq for row in records],
+        }
+        bins = bins_of("power_dbm", plain["epoch_us"], power_dbm)
+        bins |= bins_of(_C_N0, plain["epoch_us"], details[:, DETAIL_NAMES.index(_C_N0)])
+        return measured_arrays(plain, power_dbm, flags, details), bins
 
 
 def seal_measurements(database: Database, key: int, before_us: int, received_before_us: int) -> Iterator[SealedPart]:
@@ -292,25 +305,6 @@ def _series(database: Database, key: int, before_us: int, received_before_us: in
         for source_key, plan_id, received_at_us in found:
             if received_at_us < received_before_us:
                 yield RowSeries(key, measurement, source_key=source_key, plan_id=plan_id), day
-
-
-def _columns(rows: Sequence[Measurement]) -> MeasuredColumns:
-    carriers, count = len(rows[0].power_dbm), len(rows)
-    flags = np.zeros((count, carriers), dtype=np.int32)
-    details = np.full((count, len(DETAIL_NAMES), carriers), np.nan, dtype=np.float32)
-    for position, row in enumerate(rows):
-        if row.flags is not None:
-            flags[position] = row.flags
-        if row.details is not None:
-            details[position] = [getattr(row.details, name) for name in DETAIL_NAMES]
-    places = ([getattr(row, name) for row in rows] for name in ("epoch_us", "number", "received_at_us"))
-    claims = [(row.feeds_estimator, row.is_late, row.flags is not None) for row in rows]
-    seqs = np.array([-1 if row.seq is None else row.seq for row in rows], dtype=np.int64)
-    powers = np.array([row.power_dbm for row in rows]).astype(np.float32)
-    epochs_us, numbers, received_at_us = (np.array(each, dtype=np.int64) for each in places)
-    feeds, is_late, has_flags = np.array(claims, dtype=np.bool_).T
-    columns = (epochs_us, numbers, received_at_us, feeds, is_late, has_flags, seqs, powers, flags, details)
-    return MeasuredColumns._make(columns)
 
 
 def _reported(name: str, change: Change) -> SealedPart:

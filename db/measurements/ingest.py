@@ -1,13 +1,12 @@
 """Storing batches of measurements, the hot path: all batches that wait, by one insert and two updates a spacecraft.
 
-Each statement gives up the interpreter's lock and waits for it behind the decoders of the next requests. Thirty-two
-front ends that send a row each would pay that a hundred times a commit, together they pay it four times.
+Thirty-two front ends that send a row each would look up the head and their sources a hundred times a commit, together
+they do it once.
 
 Of a batch ``received = accepted + duplicates + refused``. Whether a row is known is asked of the table only where its
 epoch is not above the newest stored one of its source, and of sealed days only where one reaches to its epoch.
 """
 
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -15,13 +14,12 @@ from typing import Any
 import numpy as np
 from sqlalchemy import Connection, bindparam, func, select, update
 
-from db.connection.writer import run_bare
+from db.connection.writer import insert_new
 from db.database import lock_head
 from db.encoding.measurement_rows import RowContent, StoredArrays, row_content, stored_arrays
 from db.encoding.segments import SegmentCache, sealed_contents
-from db.measurements.sequence_numbers import MAX_JUMP, NumberedRow, SequenceNumbers, Tail, blocks_of
-from db.schema.columns import CHECKSUM_BYTES, measurement_checksum
-from db.schema.tables import head, measurement, source, source_key_run
+from db.measurements.sequence_numbers import BEFORE_ALL_US, MAX_JUMP, NumberedRow, SequenceNumbers, Tail, blocks_of
+from db.tables import head, measurement, source, source_key_run
 from service.errors import InvalidInputError, source_not_yours
 from service.records.epoch import format_epoch
 from service.records.levels.attitude import BoolArray, IntArray
@@ -66,46 +64,6 @@ def prepare(spacecraft_key: int, batch: MeasurementBatch) -> PreparedBatch:
         arrays=stored_arrays(batch.power_dbm, batch.flags, details),
         is_ascending=bool(np.all(batch.epochs_us[1:] > batch.epochs_us[:-1])),
     )
-
-
-#: arrays of one size in one blob; one statement gives up the interpreter's lock, and waits for it, once
-_INSERT = """
-INSERT INTO measurement
-  (spacecraft_key, epoch_us, source_key, number, plan_id, seq, delay_us, is_late, feeds, powers, flags, figures,
-   checksum)
-SELECT ?1, json_extract(value, '$[0]'), json_extract(value, '$[1]'), json_extract(value, '$[2]'),
-  json_extract(value, '$[3]'), json_extract(value, '$[4]'), json_extract(value, '$[5]'), json_extract(value, '$[6]'),
-  json_extract(value, '$[7]'),
-  substr(?2, 5 + ?3 * row.key, ?4), substr(?2, 5 + ?4 + ?3 * row.key, ?5), substr(?2, 5 + ?6 + ?3 * row.key, ?7),
-  substr(?2, 1 + ?3 * row.key, 4)
-FROM json_each(?8) AS row
-"""
-_INSERT_ON_A_SERVER = """
-INSERT INTO measurement
-  (spacecraft_key, epoch_us, source_key, number, plan_id, seq, delay_us, is_late, feeds, powers, flags, figures,
-   checksum)
-SELECT * FROM unnest(%s::int[], %s::bigint[], %s::int[], %s::bigint[], %s::int[], %s::bigint[], %s::bigint[],
-  %s::boolean[], %s::boolean[], %s::bytea[], %s::bytea[], %s::bytea[], %s::bytea[])
-"""
-#: columns before the arrays
-_NUMBERS = 9
-
-
-def insert_rows(connection: Connection, rows: Sequence[tuple[Any, ...]]) -> None:
-    """Insert rows of a spacecraft, of all columns of ``measurement`` but the checksum, in their order."""
-    if connection.dialect.name != "sqlite":
-        whole = [(*row, measurement_checksum(row)) for row in rows]
-        connection.exec_driver_sql(_INSERT_ON_A_SERVER, tuple(map(list, zip(*whole, strict=True))))
-        return
-    of_size: dict[tuple[int | None, ...], list[tuple[Any, ...]]] = {}
-    for row in rows:
-        of_size.setdefault(tuple([None if part is None else len(part) for part in row[_NUMBERS:]]), []).append(row)
-    for (powers, flags, figures), its in of_size.items():
-        blob = b"".join([part for row in its for part in (measurement_checksum(row), *row[_NUMBERS:]) if part])
-        before = (powers or 0) + (flags or 0)
-        sizes = (CHECKSUM_BYTES + before + (figures or 0), powers, flags, before, figures)
-        numbers = json.dumps([row[1:_NUMBERS] for row in its])
-        run_bare(connection, _INSERT, (its[0][0], blob, *sizes, numbers))
 
 
 #: epochs in one query
@@ -225,6 +183,8 @@ def _conflict(prepared: PreparedBatch, position: int) -> RowRefusal:
     return RowRefusal(int(prepared.batch.index[position]), prepared.seqs[position], "measurement.conflict", detail)
 
 
+#: of rows, all but the checksum
+_COLUMNS = tuple(measurement.c.keys())[:-1]
 #: columns in which the numbers of a source stand, in the order of `Tail`
 _TAIL = ("seq_run", "seq_after_us", "seq_start", "seq_last", "rows_missing")
 _NO_TAIL = (None,) * len(_TAIL)
@@ -238,10 +198,6 @@ _MOVE_HEAD = (
     .where(head.c.spacecraft_key == bindparam("key"))
     .values(newest_number=bindparam("number"), newest_epoch_us=bindparam("epoch_us"))
 )
-_MOVE_SOURCES = f"""
-UPDATE source SET {", ".join(f"{name} = json_extract(value, '$.{name}')" for name in _MOVED)} FROM json_each(?2)
-WHERE spacecraft_key = ?1 AND source_key = json_extract(value, '$.of_key')
-"""  # noqa: S608 - names of columns
 _MOVE_SOURCE = (
     update(source)
     .where(source.c.spacecraft_key == bindparam("of_spacecraft"), source.c.source_key == bindparam("of_key"))
@@ -331,7 +287,9 @@ class _Ingest:
         first_number = self._newest_number + 1
         if sender is not None and not state.is_as_before(sender):
             self._begin_key_run(state, sender)
-        is_late = _lateness(prepared.batch, self._consumed_epoch_us)[outcome.accepted]
+        # stale, or below the newest epoch that the chain has consumed
+        consumed_us = BEFORE_ALL_US if self._consumed_epoch_us is None else self._consumed_epoch_us
+        is_late = (prepared.batch.is_stale | (prepared.batch.epochs_us < consumed_us))[outcome.accepted]
         self._add(outcome, state, is_late)
         jumps = self._move(outcome, state)
         self._moved[name] = state
@@ -351,14 +309,12 @@ class _Ingest:
         """Write what was taken."""
         if not self._rows:
             return
-        insert_rows(self._connection, self._rows)
+        columns = zip(_COLUMNS, zip(*self._rows, strict=True), strict=True)
+        insert_new(self._connection, measurement, dict(columns), may_exist=False)
         position = {"number": self._newest_number, "epoch_us": self._newest_epoch_us}
         self._connection.execute(_MOVE_HEAD, {"key": self._key, **position})
         figures = [state.figures() for state in self._moved.values()]
-        if self._connection.dialect.name == "sqlite":
-            run_bare(self._connection, _MOVE_SOURCES, (self._key, json.dumps(figures)))
-        else:
-            self._connection.execute(_MOVE_SOURCE, [{"of_spacecraft": self._key, **each} for each in figures])
+        self._connection.execute(_MOVE_SOURCE, [{"of_spacecraft": self._key, **each} for each in figures])
         self._rows.clear()
         self._moved.clear()
 
@@ -397,8 +353,8 @@ class _Ingest:
         newest_us = int(outcome.batch.batch.epochs_us[outcome.accepted].max())
         jumps = self._number(outcome, state)
         state.row_count += len(outcome.accepted)
-        state.newest_epoch_us = _later(newest_us, state.newest_epoch_us)
-        self._newest_epoch_us = _later(newest_us, self._newest_epoch_us)
+        state.newest_epoch_us = max(newest_us, state.newest_epoch_us or newest_us)
+        self._newest_epoch_us = max(newest_us, self._newest_epoch_us or newest_us)
         return jumps
 
     def _number(self, outcome: SortedRows, state: _Source) -> list[RowNotice]:
@@ -439,17 +395,8 @@ def _check_number(connection: Connection, sender: Sender) -> None:
         raise InvalidInputError("source.too_many", detail)
 
 
-def _lateness(batch: MeasurementBatch, consumed_us: int | None) -> BoolArray:
-    """Return which rows are late: stale, or below the newest epoch that the chain has consumed."""
-    return batch.is_stale if consumed_us is None else batch.is_stale | (batch.epochs_us < consumed_us)
-
-
 def _held_rows(outcome: SortedRows) -> Iterator[NumberedRow]:
     """Yield the rows of a batch that the archive holds after it, in order of place."""
     prepared, known = outcome.batch, set(outcome.duplicates)
     for position in sorted((*outcome.accepted.tolist(), *outcome.duplicates)):
         yield NumberedRow(prepared.seqs[position] or 0, prepared.epochs_us[position], position not in known)
-
-
-def _later(epoch_us: int, other_us: int | None) -> int:
-    return epoch_us if other_us is None else max(epoch_us, other_us)

@@ -1,36 +1,51 @@
 """Reading measurements in order: one page of rows at a time, each in one consistent state of the database.
 
 A page begins behind a cursor (epoch, number), which stays true whatever happens to the rows between two pages.
+
+Heads of journals, number and digest of the newest entry, are logged by the service and compared by the doctor. A
+database that lost its newest transactions, as a file whose write-ahead log was deleted, is sound in itself. What it
+lacks is told by a head that stands elsewhere. The digest is of what an entry says, so it stays when a day is sealed.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+import json
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cached_property
+from hashlib import sha256
 from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
 from sqlalchemy import ColumnElement, Connection, Row, Select, bindparam, func, select
 
+from db.columns import sound_rows
 from db.database import Database, beyond, newest_rows, start_of_last, within
 from db.encoding.measurement_rows import ChunkRun, OrderedRows, details_of, end_us, measurement_of, powers_of
 from db.encoding.segments import (
     MeasurementSegment,
     SegmentCache,
     SegmentHead,
-    day_of,
     heads,
     heads_of_numbers,
     of_measurements,
     read_chunk,
 )
-from db.schema.columns import sound_rows
-from db.schema.tables import measurement, segment, source
-from db.summaries import bins_within, next_row_us, seasons
+from db.sealing import bins_within, next_row_us, seasons
+from db.tables import head as head_table
+from db.tables import journal, measurement, segment, source, spacecraft
 from service.core.rows import Summaries
 from service.ports.archive import Cursor, Intervals, ListPart, MeasuredFigure, SampledPowers
 from service.records.calibration import Window
+from service.records.inputs import JournalHead
 from service.records.levels.attitude import BoolArray, IntArray
-from service.records.levels.measurement import DETAIL_NAMES, Float32Array, Measurement, MeasurementBlock
+from service.records.levels.measurement import (
+    DETAIL_NAMES,
+    Float32Array,
+    HeadState,
+    Measurement,
+    MeasurementBlock,
+    SourceState,
+)
+from service.records.storage import Diagnosis
 
 Columns = tuple[ColumnElement[Any], ...]
 #: rows of the table of rows in memory at once
@@ -222,23 +237,6 @@ class MeasurementPages:
         runs = self.read(Chosen(window, self.names[source_key]), 1, None)
         return runs[0].records()[0] if runs else None
 
-    def newest(self, chosen: Chosen) -> tuple[int, int, int] | None:
-        """Return epoch, number and time of receipt of the row with the greatest (epoch, number)."""
-        order = measurement.c.epoch_us.desc(), measurement.c.number.desc()
-        row = self._connection.execute(self._rows(chosen, LIGHT).order_by(*order).limit(1)).first()
-        best = None if row is None else (row.epoch_us, row.number, row.epoch_us + row.delay_us)
-        start_us = chosen.window.start_us if best is None else best[0]
-        for head in heads(self._connection, self._of_segments(chosen), start_us, EVER.stop_us, newest_first=True):
-            if best is not None and head.day < day_of(best[0]):
-                break
-            chunk = read_chunk(self._connection, self._cache, head)
-            positions = _positions(chunk, chosen, None, chosen.window.stop_us)
-            if len(positions):
-                last = positions[-1]
-                found = int(chunk.epochs_us[last]), int(chunk.numbers[last]), int(chunk.received_at_us[last])
-                best = found if best is None else max(best, found)
-        return best
-
     def last_number(self, window: Window) -> int:
         """Return a journal number behind which no row lies in a window; 0 where none does at all."""
         rows = select(func.max(measurement.c.number)).where(
@@ -382,3 +380,87 @@ def _bucket(chunk: RowChunk | MeasurementSegment, figure: MeasuredFigure) -> Sum
     """Return the rows of a piece as buckets of their own."""
     values = chunk.power_dbm() if figure == "power_dbm" else chunk.figure(figure)
     return Summaries.of_rows(chunk.epochs_us, values)
+
+
+#: where the journal and its consumer stand, in the order of `HeadState`
+HEAD_COLUMNS = (
+    head_table.c.newest_number,
+    head_table.c.consumed_number,
+    head_table.c.newest_epoch_us,
+    head_table.c.consumed_epoch_us,
+    head_table.c.result_sequence,
+)
+#: in the order in which `source_state` takes them
+SOURCE_COLUMNS = tuple(
+    source.c[name] for name in ("name", "is_prime", "newest_epoch_us", "row_count", "rows_missing", "station", "key_id")
+)
+_DIGITS = 16
+_LOST = "Stop the service. Restore a backup, or put the missing files back; then let the front ends send again."
+_OTHER = "Right after a restore, wrong otherwise: compare the archive with a backup of before."
+
+
+def source_state(row: Sequence[Any]) -> SourceState:
+    """Return the state of a source from its columns."""
+    name, is_prime, *figures = row
+    return SourceState(name, "prime" if is_prime else "backup", *figures)
+
+
+def head_states(connection: Connection) -> dict[str, HeadState]:
+    """Return where the journal of each spacecraft and its consumer stand."""
+    query = select(spacecraft.c.id, *HEAD_COLUMNS).join_from(head_table, spacecraft)
+    return {row[0]: HeadState(*row[1:]) for row in connection.execute(query)}
+
+
+def journal_heads(connection: Connection, cache: SegmentCache) -> list[JournalHead]:
+    """Return the head of every journal that has entries."""
+    query = select(spacecraft.c.id, spacecraft.c.spacecraft_key, head_table.c.newest_number)
+    rows = connection.execute(query.join_from(spacecraft, head_table).where(head_table.c.newest_number > 0)).all()
+    digests = [_digest(connection, cache, row.spacecraft_key, row.newest_number) for row in rows]
+    held = zip(rows, digests, strict=True)
+    return [JournalHead(row.id, row.newest_number, digest) for row, digest in held if digest is not None]
+
+
+def compared_heads(connection: Connection, announced: Iterable[JournalHead]) -> Iterator[Diagnosis]:
+    """Compare journals with heads that were logged; an entry that retention took away is not compared."""
+    by_spacecraft: dict[str, list[JournalHead]] = {}
+    for each in sorted(set(announced)):
+        by_spacecraft.setdefault(each.spacecraft_id, []).append(each)
+    query = select(spacecraft.c.spacecraft_key, head_table.c.newest_number).join_from(spacecraft, head_table)
+    for name, logged in by_spacecraft.items():
+        row = connection.execute(query.where(spacecraft.c.id == name)).first()
+        key, newest = (0, 0) if row is None else row
+        last = logged[-1].number
+        if last > newest:
+            detail = f"{name}: {last - newest} entries are lost: the log names {last}, the journal ends at {newest}"
+            yield Diagnosis("log", "fault", detail, _LOST)
+        cache = SegmentCache()
+        held = [(each, _digest(connection, cache, key, each.number)) for each in logged if each.number <= newest]
+        others = [each.number for each, digest in held if digest not in {None, each.digest}]
+        if others:
+            detail = (
+                f"{name}: {len(others)} of {len(logged)} entries are not those that the log names, {others[0]} first"
+            )
+            yield Diagnosis("log", "fault", detail, _OTHER)
+        elif last <= newest:
+            yield Diagnosis("log", "ok", f"{name}: {len(logged)} entries are those that the log names, up to {last}")
+
+
+def _digest(connection: Connection, cache: SegmentCache, key: int, number: int) -> str | None:
+    """Return the digest of an entry, None when it is not held."""
+    columns = (journal.c.kind, journal.c.key, journal.c.start_us, journal.c.stop_us, journal.c.document)
+    is_it = (journal.c.spacecraft_key == key, journal.c.number == number)
+    entry = connection.execute(select(*columns).where(*is_it)).first()
+    if entry is not None:
+        return sha256(json.dumps(list(entry)).encode()).hexdigest()[:_DIGITS]
+    rows = MeasurementPages(connection, cache, key).of_numbers(number - 1, number, is_compared=False)
+    return sha256(_content(rows[0])).hexdigest()[:_DIGITS] if rows else None
+
+
+def _content(row: Measurement) -> bytes:
+    """Return the content of a row as bytes, the same for the table of rows and for a sealed day."""
+    plain = (row.epoch_us, row.received_at_us, row.number, row.source, row.plan_id, row.is_late, row.feeds_estimator)
+    parts = [json.dumps([*plain, row.seq]).encode(), row.power_dbm.astype("<f4").tobytes()]
+    parts.append(b"" if row.flags is None else row.flags.astype("<i4").tobytes())
+    details = [] if row.details is None else [getattr(row.details, name) for name in DETAIL_NAMES]
+    parts.append(np.array(details, dtype="<f4").tobytes())
+    return b"".join(len(part).to_bytes(4, "little") + part for part in parts)

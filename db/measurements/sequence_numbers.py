@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from sqlalchemy import ColumnElement, Connection, and_, delete, func, select
 
-from db.schema.tables import sequence_interval
+from db.tables import sequence_interval
 
 _TABLE = sequence_interval
 #: before every epoch

@@ -7,7 +7,7 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, Row, delete, or_, select, update
 
 from db.database import Repository, append_entry, lock_audit_head
-from db.schema.tables import access_key, archive_layout, audit_entry, audit_head, browser_session
+from db.tables import access_key, archive_layout, audit_entry, audit_head, browser_session
 from service.errors import ConflictError, NotFoundError
 from service.records.operations.access import (
     GENESIS,

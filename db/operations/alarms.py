@@ -8,13 +8,13 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, Row, Select, delete, func, or_, select, true, update
 from sqlalchemy.dialects import postgresql, sqlite
 
-from db.database import Repository, lock_head, page_of
+from db.columns import sound_rows
+from db.database import Repository, page_of
 from db.encoding.record_codec import decode, encode
 from db.measurements.closed_days import LOGS_AT_ONCE
-from db.schema.columns import sound_rows
-from db.schema.tables import alarm as alarm_table
-from db.schema.tables import alarm_change, alarm_limits, alarm_memory
-from db.schema.tables import note as note_table
+from db.tables import alarm as alarm_table
+from db.tables import alarm_change, alarm_limits, alarm_memory
+from db.tables import note as note_table
 from service.errors import NotFoundError
 from service.ports.archive import ListPart
 from service.ports.storage import ARCHIVE
@@ -97,18 +97,16 @@ class SqlAlarms(Repository):
 
     def count_refused(self, spacecraft_id: str, is_refused: Sequence[bool]) -> None:
         """Count records of telemetry that were refused one after another, whichever process refused them."""
-        key = self._database.key(spacecraft_id)
         if not any(is_refused) and spacecraft_id not in self.refused():
             return
 
-        def store(connection: Connection) -> None:
-            lock_head(connection, key)
+        def store(connection: Connection, _key: int) -> None:
             count = connection.scalar(_refused(spacecraft_id)) or 0
             for is_bad in is_refused:
                 count = count + 1 if is_bad else 0
             _put_memory(connection, spacecraft_id=spacecraft_id, refused=count)
 
-        self._database.write(store)
+        self._change(spacecraft_id, store)
 
     def refused(self) -> dict[str, int]:
         """Return how many records of telemetry were refused since one was accepted, by spacecraft; none: not named."""
@@ -151,17 +149,15 @@ class SqlAlarms(Repository):
 
     def put_limits(self, spacecraft_id: str, limits: AlarmLimits) -> AlarmLimits:
         """Store limits as the next version and return it; the version that they state is ignored."""
-        key = self._database.key(spacecraft_id)
 
-        def store(connection: Connection) -> AlarmLimits:
-            lock_head(connection, key)
+        def store(connection: Connection, _key: int) -> AlarmLimits:
             query = select(func.max(alarm_limits.c.version)).where(alarm_limits.c.spacecraft_id == spacecraft_id)
             stored = replace(limits, version=1 + (connection.scalar(query) or 0))
             values = {"spacecraft_id": spacecraft_id, "version": stored.version, "document": encode(stored)}
             connection.execute(alarm_limits.insert().values(values))
             return stored
 
-        return self._database.write(store)
+        return self._change(spacecraft_id, store)
 
 
 def _refused(spacecraft_id: str) -> Select[Any]:
@@ -220,8 +216,9 @@ class SqlNotes(Repository):
         """Store a note (its id is ignored) and return it with its id; NotFoundError ``note.unknown``."""
 
         def store(connection: Connection) -> Note:
-            if note.corrects is not None:
-                _check(connection, note.corrects)
+            corrected = select(note_table.c.note_id).where(note_table.c.note_id == note.corrects)
+            if note.corrects is not None and connection.scalar(corrected) is None:
+                raise _no_note(note.corrects)
             values = {"spacecraft_id": note.spacecraft_id, "epoch_us": note.epoch_us, "document": encode(note)}
             insert = note_table.insert().values(values).returning(note_table.c.note_id)
             return replace(note, id=int(connection.execute(insert).scalar_one()))
@@ -256,22 +253,10 @@ class SqlNotes(Repository):
         while (rows := self._database.write(led)) > 0:
             yield rows
 
-    def newest(self, limit: int, spacecraft_id: str | None = None) -> list[Note]:
-        """Return the notes with the greatest epochs, newest first."""
-        query = select(note_table).where(_about(spacecraft_id))
-        ordered = query.order_by(note_table.c.epoch_us.desc(), note_table.c.note_id.desc()).limit(limit)
-        return _notes_of(self._database.fetch(ordered))
-
     def last_written(self, limit: int, spacecraft_id: str | None = None) -> list[Note]:
         """Return the notes that were stored last, newest first, whatever instant they are about."""
         query = select(note_table).where(_about(spacecraft_id))
         return _notes_of(self._database.fetch(query.order_by(note_table.c.note_id.desc()).limit(limit)))
-
-
-def _check(connection: Connection, note_id: int) -> None:
-    """Raise NotFoundError unless a note exists."""
-    if connection.scalar(select(note_table.c.note_id).where(note_table.c.note_id == note_id)) is None:
-        raise _no_note(note_id)
 
 
 def _about(spacecraft_id: str | None) -> ColumnElement[bool]:

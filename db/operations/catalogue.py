@@ -7,11 +7,10 @@ from typing import Any
 from sqlalchemy import Connection, Row, Select, Table, case, delete, func, select, true, update
 from sqlalchemy.exc import IntegrityError
 
-from db.database import EpochSpan, Repository, add_entries, count_entries, lock_head, next_id
-from db.documents import damaged_documents, with_digest
-from db.encoding.record_codec import decode, decode_all, encode, encode_all
-from db.measurements.journal_heads import HEAD_COLUMNS, SOURCE_COLUMNS, source_state
-from db.schema.tables import (
+from db.database import EpochSpan, Repository, add_entries, count_entries, next_id
+from db.encoding.record_codec import damaged_documents, decode, decode_all, encode, encode_all, with_digest
+from db.measurements.measurement_pages import HEAD_COLUMNS, SOURCE_COLUMNS, source_state
+from db.tables import (
     alignment,
     calibration,
     carrier_plan,
@@ -24,7 +23,7 @@ from db.schema.tables import (
     segment,
     source,
 )
-from db.schema.tables import spacecraft as spacecraft_table
+from db.tables import spacecraft as spacecraft_table
 from service.errors import ConflictError, NotFoundError
 from service.records.calibration import CalibrationState
 from service.records.catalogue import Carrier, CarrierPlan, Ephemeris, Spacecraft
@@ -44,8 +43,7 @@ class SqlCatalogue(Repository):
 
     def replace_spacecraft(self, spacecraft: Spacecraft) -> None:
         """Store and journal a changed spacecraft under its id."""
-        key = self._database.key(spacecraft.id)
-        self._database.write(lambda connection: _replace_spacecraft(connection, key, spacecraft))
+        self._change(spacecraft.id, _replace_spacecraft, spacecraft)
 
     def spacecraft(self, spacecraft_id: str) -> Spacecraft:
         """Return one spacecraft."""
@@ -75,19 +73,16 @@ class SqlCatalogue(Repository):
 
     def delete_spacecraft(self, spacecraft_id: str) -> None:
         """Delete a spacecraft without rows; ConflictError ``spacecraft.has_rows``. Its id is not given again."""
-        key = self._database.key(spacecraft_id)
-        self._database.write(lambda connection: _delete_spacecraft(connection, key, spacecraft_id))
+        self._change(spacecraft_id, _delete_spacecraft, spacecraft_id)
         self._database.forget(spacecraft_id)
 
     def withdraw_plan(self, spacecraft_id: str, plan_id: int) -> None:
         """Withdraw a plan, journaled; NotFoundError ``plan.unknown``, ConflictError ``plan.in_use``."""
-        key = self._database.key(spacecraft_id)
-        self._database.write(lambda connection: _withdraw_plan(connection, key, spacecraft_id, plan_id))
+        self._change(spacecraft_id, _withdraw_plan, spacecraft_id, plan_id)
 
     def put_plan(self, spacecraft_id: str, carriers: Sequence[Carrier], sha256: str) -> CarrierPlan:
         """Return the plan with this content, storing and journaling it when it is new or no longer the newest."""
-        key = self._database.key(spacecraft_id)
-        return self._database.write(lambda connection: _put_plan(connection, key, tuple(carriers), sha256))
+        return self._change(spacecraft_id, _put_plan, tuple(carriers), sha256)
 
     def plan(self, spacecraft_id: str, plan_id: int | None = None) -> CarrierPlan:
         """Return one plan, or the one put last; NotFoundError ``plan.unknown`` or ``plan.none``."""
@@ -99,8 +94,7 @@ class SqlCatalogue(Repository):
 
     def put_ephemeris(self, spacecraft_id: str, ephemeris: Ephemeris) -> Ephemeris:
         """Store and journal an ephemeris (its id is ignored) and return it with its id."""
-        key = self._database.key(spacecraft_id)
-        return self._database.write(lambda connection: _put_ephemeris(connection, key, ephemeris))
+        return self._change(spacecraft_id, _put_ephemeris, ephemeris)
 
     def ephemeris(self, spacecraft_id: str, ephemeris_id: int | None = None) -> Ephemeris:
         """Return one ephemeris, or the newest; NotFoundError ``ephemeris.unknown`` or ``ephemeris.none``."""
@@ -112,8 +106,7 @@ class SqlCatalogue(Repository):
 
     def damaged_documents(self, spacecraft_id: str) -> tuple[str, ...]:
         """Return the names of the documents in force that differ from their digests."""
-        key = self._database.key(spacecraft_id)
-        with self._database.read() as connection:
+        with self._read(spacecraft_id) as (connection, key):
             return tuple(damaged_documents(connection, key))
 
 
@@ -162,7 +155,6 @@ def _insert_spacecraft(connection: Connection, spacecraft: Spacecraft) -> None:
 
 
 def _replace_spacecraft(connection: Connection, key: int, spacecraft: Spacecraft) -> None:
-    lock_head(connection, key)
     is_it = spacecraft_table.c.spacecraft_key == key
     values = with_digest(spacecraft_table, {"id": spacecraft.id, "document": encode(spacecraft)})
     connection.execute(update(spacecraft_table).where(is_it).values(values))
@@ -171,7 +163,6 @@ def _replace_spacecraft(connection: Connection, key: int, spacecraft: Spacecraft
 
 
 def _put_plan(connection: Connection, key: int, carriers: tuple[Carrier, ...], sha256: str) -> CarrierPlan:
-    lock_head(connection, key)
     newest = connection.execute(_version(carrier_plan, "plan_id", key, None)).first()
     if newest is not None and newest.sha256 == sha256:
         return _plan_of(newest)
@@ -186,7 +177,6 @@ def _put_plan(connection: Connection, key: int, carriers: tuple[Carrier, ...], s
 
 def _delete_spacecraft(connection: Connection, key: int, spacecraft_id: str) -> None:
     """Take the head away: without it there is no spacecraft, its row keeps the id taken."""
-    lock_head(connection, key)
     if connection.execute(select(source).where(source.c.spacecraft_key == key)).first() is not None:
         raise ConflictError(
             "spacecraft.has_rows", f"Spacecraft {spacecraft_id!r} has measurements and cannot be deleted."
@@ -195,7 +185,6 @@ def _delete_spacecraft(connection: Connection, key: int, spacecraft_id: str) -> 
 
 
 def _withdraw_plan(connection: Connection, key: int, spacecraft_id: str, plan_id: int) -> None:
-    lock_head(connection, key)
     row = connection.execute(_version(carrier_plan, "plan_id", key, plan_id)).first()
     if row is None or row.sha256 == _WITHDRAWN:
         raise _no_version(spacecraft_id, "plan", "carrier plan", plan_id)
@@ -213,7 +202,6 @@ def _withdraw_plan(connection: Connection, key: int, spacecraft_id: str, plan_id
 
 
 def _put_ephemeris(connection: Connection, key: int, record: Ephemeris) -> Ephemeris:
-    lock_head(connection, key)
     stored = replace(record, id=next_id(connection, ephemeris, "ephemeris_id", key))
     columns = {"spacecraft_key": key, "ephemeris_id": stored.id, "document": encode(stored)}
     values = with_digest(ephemeris, columns)

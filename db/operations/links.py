@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from sqlalchemy import ColumnElement, Connection, Row, Select, and_, delete, func, select, update
 
-from db.database import Repository, lock_head, page_of
+from db.columns import sound_rows
+from db.database import Repository, page_of
 from db.encoding.record_codec import decode, encode
-from db.schema.columns import sound_rows
-from db.schema.tables import link as link_table
-from db.schema.tables import trace as trace_table
+from db.tables import link as link_table
+from db.tables import trace as trace_table
 from service.errors import ConflictError, NotFoundError
 from service.ports.archive import ListPart
 from service.records.epoch import US_PER_S, format_epoch
@@ -51,11 +51,11 @@ class SqlLinks(Repository):
 
     def set_enabled(self, link_id: str, *, enabled: bool) -> LinkState:
         """Enable or disable a link until the next call."""
-        return self._change(link_id, lambda state: replace(state, enabled=enabled))
+        return self._change_link(link_id, lambda state: replace(state, enabled=enabled))
 
     def request_reset(self, link_id: str) -> LinkState:
         """Ask a link to zero its counters and to begin again."""
-        return self._change(link_id, lambda state: replace(state, resets=state.resets + 1))
+        return self._change_link(link_id, lambda state: replace(state, resets=state.resets + 1))
 
     def remove(self, link_id: str) -> None:
         """Forget a link; it comes back with its next report, enabled."""
@@ -63,7 +63,7 @@ class SqlLinks(Repository):
         if self._database.write(lambda connection: connection.execute(delete(link_table).where(is_it)).rowcount) == 0:
             raise _no_link(link_id)
 
-    def _change(self, link_id: str, change: Callable[[LinkState], LinkState]) -> LinkState:
+    def _change_link(self, link_id: str, change: Callable[[LinkState], LinkState]) -> LinkState:
         def write(connection: Connection) -> LinkState:
             stored = _locked(connection, link_id)
             if stored is None:
@@ -142,9 +142,8 @@ class SqlTraces(Repository):
         self, spacecraft_id: str, source: str, traces: Sequence[Trace], received_at_us: int, ring: Ring
     ) -> TraceReceipt:
         """Store traces of one source and drop, oldest epoch first, what its ring has no place for."""
-        key = self._database.key(spacecraft_id)
-        offered = [_trace_values(key, source, trace, received_at_us) for trace in traces]
-        return self._database.write(lambda connection: _store_traces(connection, key, source, offered, ring))
+        offered = [_trace_values(source, trace, received_at_us) for trace in traces]
+        return self._change(spacecraft_id, _store_traces, source, offered, ring)
 
     def heads(
         self, spacecraft_id: str, part: ListPart, source: str | None = None, sweep: str | None = None
@@ -185,7 +184,6 @@ def unpacked(blob: bytes) -> FloatArray:
 def _store_traces(
     connection: Connection, key: int, source: str, offered: Sequence[dict[str, Any]], ring: Ring
 ) -> TraceReceipt:
-    lock_head(connection, key)
     known = _known(connection, key, source, [values["epoch_us"] for values in offered])
     fresh: dict[tuple[int, str], dict[str, Any]] = {}
     for values in offered:
@@ -193,7 +191,7 @@ def _store_traces(
         if name not in known:
             fresh.setdefault(name, values)
     if fresh:
-        connection.execute(trace_table.insert(), list(fresh.values()))
+        connection.execute(trace_table.insert(), [{"spacecraft_key": key, **values} for values in fresh.values()])
     return TraceReceipt(len(fresh), len(offered) - len(fresh), _drop(connection, key, source, ring))
 
 
@@ -238,10 +236,9 @@ def _chosen(query: Select[Any], key: int, source: str | None, sweep: str | None)
     return query if sweep is None else query.where(trace_table.c.sweep == sweep)
 
 
-def _trace_values(key: int, source: str, trace: Trace, received_at_us: int) -> dict[str, Any]:
+def _trace_values(source: str, trace: Trace, received_at_us: int) -> dict[str, Any]:
     powers = packed(trace.power_dbm)
     return {
-        "spacecraft_key": key,
         "source": source,
         "epoch_us": trace.epoch_us,
         "sweep": trace.sweep,

@@ -2,11 +2,11 @@
 
 from sqlalchemy import ColumnElement, Connection, and_, select, update
 
+from db.columns import sound_rows
 from db.database import Repository, lock_head, page_of
 from db.encoding.record_codec import decode, encode
 from db.measurements.archive import store_inputs
-from db.schema.columns import sound_rows
-from db.schema.tables import release_command, release_state, spacecraft, uplink_product
+from db.tables import release_command, release_state, spacecraft, uplink_product
 from service.errors import ConflictError, NotFoundError
 from service.ports.archive import ListPart
 from service.records.operations.release import Command, ProductForm, ReleaseChange, StoredRelease, UplinkProduct

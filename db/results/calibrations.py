@@ -5,12 +5,11 @@ from typing import Any
 
 from sqlalchemy import Connection, Row, Select, select, update
 
-from db.database import EpochSpan, Repository, add_entries, count_entries, lock_head, next_id
-from db.documents import differs, digest_of, with_digest
-from db.encoding.record_codec import decode, encode
+from db.database import EpochSpan, Repository, add_entries, count_entries, next_id
+from db.encoding.record_codec import decode, differs, digest_of, encode, with_digest
 from db.results.jobs import insert_job
-from db.schema.tables import alignment as alignment_table
-from db.schema.tables import calibration as calibration_table
+from db.tables import alignment as alignment_table
+from db.tables import calibration as calibration_table
 from service.errors import ConflictError, NotFoundError, StorageError
 from service.records.calibration import (
     Alignment,
@@ -41,42 +40,37 @@ class SqlCalibrations(Repository):
         most: int | None = None,
     ) -> Calibration:
         """Store a draft without a result, with its job, and return it with its id."""
-        key = self._database.key(spacecraft_id)
         draft = Calibration(
             0, plan_id, ephemeris_id, CalibrationState.DRAFT, request, created_at_us, created_by, result=None
         )
 
-        def add(connection: Connection) -> Calibration:
+        def add(connection: Connection, key: int) -> Calibration:
             stored = _insert_calibration(connection, key, draft)
             if job is not None:
                 insert_job(connection, replace(job, subject=str(stored.id)), most)
             return stored
 
-        return self._database.write(add)
+        return self._change(spacecraft_id, add)
 
     def finish_calibration(
         self, spacecraft_id: str, calibration_id: int, result: CalibrationResult | None, error: str | None
     ) -> Calibration:
         """Store the result of a draft, or why it failed."""
-        key = self._database.key(spacecraft_id)
-        return self._database.write(lambda connection: _finish(connection, key, calibration_id, result, error))
+        return self._change(spacecraft_id, _finish, calibration_id, result, error)
 
     def activate_calibration(
         self, spacecraft_id: str, calibration_id: int, override_reason: str | None = None
     ) -> Calibration:
         """Make a calibration the active one of its method, journaled; the former becomes superseded."""
-        key = self._database.key(spacecraft_id)
-        return self._database.write(lambda connection: _activate(connection, key, calibration_id, override_reason))
+        return self._change(spacecraft_id, _activate, calibration_id, override_reason)
 
     def delete_calibration(self, spacecraft_id: str, calibration_id: int) -> None:
         """Delete a draft or a failed calibration; its number is not given again."""
-        key = self._database.key(spacecraft_id)
-        self._database.write(lambda connection: _delete(connection, key, calibration_id))
+        self._change(spacecraft_id, _delete, calibration_id)
 
     def calibration(self, spacecraft_id: str, calibration_id: int) -> Calibration:
         """Return one calibration."""
-        key = self._database.key(spacecraft_id)
-        with self._database.read() as connection:
+        with self._read(spacecraft_id) as (connection, key):
             return _calibration(connection, key, calibration_id)
 
     def calibrations(self, spacecraft_id: str, state: CalibrationState | None = None) -> tuple[Calibration, ...]:
@@ -89,8 +83,7 @@ class SqlCalibrations(Repository):
 
     def add_alignment(self, spacecraft_id: str, alignment: Alignment) -> Alignment:
         """Store and journal an alignment (its id is ignored) and return it with its id."""
-        key = self._database.key(spacecraft_id)
-        return self._database.write(lambda connection: _insert_alignment(connection, key, alignment))
+        return self._change(spacecraft_id, _insert_alignment, alignment)
 
     def alignment(self, spacecraft_id: str, alignment_id: int) -> Alignment:
         """Return one alignment."""
@@ -153,7 +146,6 @@ def _calibration_of(row: Row[Any]) -> Calibration:
 
 
 def _insert_calibration(connection: Connection, key: int, draft: Calibration) -> Calibration:
-    lock_head(connection, key)
     stored = replace(draft, id=next_id(connection, calibration_table, "calibration_id", key))
     values = {
         "spacecraft_key": key,
@@ -178,7 +170,6 @@ def _change_calibration(connection: Connection, key: int, calibration_id: int, v
 def _finish(
     connection: Connection, key: int, calibration_id: int, result: CalibrationResult | None, error: str | None
 ) -> Calibration:
-    lock_head(connection, key)
     row = _calibration_row(connection, key, calibration_id)
     draft = _calibration_of(row)
     if draft.state is not CalibrationState.DRAFT or draft.result is not None:
@@ -192,7 +183,6 @@ def _finish(
 
 
 def _delete(connection: Connection, key: int, calibration_id: int) -> None:
-    lock_head(connection, key)
     found = _calibration(connection, key, calibration_id)
     if found.state not in {CalibrationState.DRAFT, CalibrationState.FAILED}:
         detail = f"Calibration {calibration_id} is {found.state} or was active; drafts and failed ones can be deleted."
@@ -203,7 +193,6 @@ def _delete(connection: Connection, key: int, calibration_id: int) -> None:
 
 
 def _activate(connection: Connection, key: int, calibration_id: int, override_reason: str | None) -> Calibration:
-    lock_head(connection, key)
     row = _calibration_row(connection, key, calibration_id)
     if differs(calibration_table, row):
         raise StorageError("document.corrupt", f"Calibration {calibration_id} differs from its digest.")
@@ -229,7 +218,6 @@ def _activate(connection: Connection, key: int, calibration_id: int, override_re
 
 
 def _insert_alignment(connection: Connection, key: int, record: Alignment) -> Alignment:
-    lock_head(connection, key)
     _calibration(connection, key, record.calibration_id)
     stored = replace(record, id=next_id(connection, alignment_table, "alignment_id", key))
     span = EpochSpan(stored.epoch_us, stored.epoch_us)

@@ -30,16 +30,16 @@ from sqlalchemy import (
 )
 from sqlalchemy.exc import IntegrityError
 
-from db.database import Database, Repository, lock_head, next_id
+from db.columns import agrees
+from db.database import Database, Repository, next_id
 from db.encoding.record_codec import decode, encode
-from db.measurements.closed_days import ATTITUDE_BYTES, PARTS, TORQUE_BYTES, delete_named
+from db.measurements.closed_days import ATTITUDE_BYTES, PARTS, TORQUE_BYTES, delete_some
 from db.measurements.measurement_pages import MAX_NUMBER
-from db.schema.columns import agrees
-from db.schema.tables import calibration as calibration_table
-from db.schema.tables import checkpoint, live_member, spacecraft
-from db.schema.tables import checkpoint as checkpoint_table
-from db.schema.tables import job as job_table
-from db.schema.tables import replay as replay_table
+from db.tables import calibration as calibration_table
+from db.tables import checkpoint, live_member, spacecraft
+from db.tables import checkpoint as checkpoint_table
+from db.tables import job as job_table
+from db.tables import replay as replay_table
 from service.errors import BusyError, ConflictError, NotFoundError
 from service.ports.archive import LIVE
 from service.records.calibration import CalibrationState, Window
@@ -248,15 +248,14 @@ class SqlReplays(Repository):
         holder: str | None = None,
     ) -> Replay:
         """Store a replay (its id is ignored), with its job, and return it with its id."""
-        key = self._database.key(spacecraft_id)
 
-        def add(connection: Connection) -> Replay:
+        def add(connection: Connection, key: int) -> Replay:
             stored = _insert_replay(connection, key, replay)
             if job is not None:
                 insert_job(connection, replace(job, subject=stored.version), most, holder)
             return stored
 
-        return self._database.write(add)
+        return self._change(spacecraft_id, add)
 
     def replay(self, spacecraft_id: str, version: str) -> ReplayVersion:
         """Return the replay that wrote a version, and what became of it."""
@@ -289,11 +288,9 @@ class SqlReplays(Repository):
 
     def delete_replay(self, spacecraft_id: str, version: str) -> None:
         """Mark a replay as deleted; a job that still writes it ends at its next rows."""
-        key, number = self._database.key(spacecraft_id), number_of(version)
-        is_it = _is_replay(key, number or 0)
 
-        def mark(connection: Connection) -> None:
-            lock_head(connection, key)
+        def mark(connection: Connection, key: int) -> None:
+            is_it = _is_replay(key, number_of(version) or 0)
             marked = connection.execute(update(replay_table).where(is_it, _IS_HELD).values(is_deleted=True))
             if marked.rowcount == 0:
                 raise _no_replay(spacecraft_id, version)
@@ -304,7 +301,7 @@ class SqlReplays(Repository):
             ended = {"state": JobState.FAILED.value, "error": f"{version} was deleted."}
             connection.execute(update(job_table).where(job_table.c.job_id == job_id, is_open).values(ended))
 
-        self._database.write(mark)
+        self._change(spacecraft_id, mark)
 
     def drop_replays(self, spacecraft_id: str, created_before_us: int | None) -> Iterator[int]:
         """Delete finished replays made before an epoch, drop the rows of deleted ones, and yield how many a step."""
@@ -376,7 +373,6 @@ def _version_of(row: Row[Any]) -> ReplayVersion:
 
 
 def _insert_replay(connection: Connection, key: int, record: Replay) -> Replay:
-    lock_head(connection, key)
     stored = replace(record, id=next_id(connection, replay_table, "replay_id", key))
     values = {
         "spacecraft_key": key,
@@ -409,17 +405,9 @@ def _dropped(
     waiting = select(columns.replay_id).where(columns.spacecraft_key == key, columns.is_deleted, has_rows)
     for row in database.fetch(waiting):
         for part in (part for series in _SERIES for part in PARTS[series]):
-            step = partial(_drop_some, key=key, version=f"replay-{row.replay_id}", part=part)
+            is_its = part.table.c.version == f"replay-{row.replay_id}"
+            step = partial(delete_some, key=key, part=part, may_go=is_its)
             while (rows := database.write(step)) > 0:
                 yield rows
         emptied = update(replay_table).where(_is_replay(key, row.replay_id)).values(attitude_rows=0, torque_rows=0)
         database.write(partial(Connection.execute, statement=emptied))
-
-
-def _drop_some(connection: Connection, *, key: int, version: str, part: Any) -> int:
-    """Drop some rows of a version from a table and count them; 0 when there are none."""
-    table = part.table
-    is_its = (table.c.spacecraft_key == key, table.c.version == version, part.is_its)
-    names = connection.execute(select(*part.key, part.rows).where(*is_its).limit(part.at_once)).all()
-    delete_named(connection, key, table, part.key, names)
-    return sum(int(name[-1]) for name in names)

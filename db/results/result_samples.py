@@ -8,12 +8,13 @@ rows, the newest first, up to a bound.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from itertools import chain, groupby, starmap
-from typing import Any, NamedTuple
+from itertools import chain, groupby
+from typing import Any
 
 import numpy as np
 from sqlalchemy import Connection, LargeBinary, func, select, tuple_
 
+from db.columns import Figure
 from db.database import Database, within
 from db.encoding.column_blob import ColumnBlob, arrow, pack_columns
 from db.encoding.segments import DAY_US, RowSeries, SegmentHead, day_of, heads, of_measurements
@@ -29,10 +30,8 @@ from db.results.stored_rows import (
     torques_of,
     unsealed_rows,
 )
-from db.schema.columns import Figure
-from db.schema.tables import attitude, measurement, segment, summary
-from db.sealing import seal_day
-from db.summaries import Bins, bins_of, bins_within, next_row_us, seasons, stored_blobs
+from db.sealing import Bins, bins_of, bins_within, next_row_us, seal_day, seasons, stored_blobs
+from db.tables import attitude, measurement, segment, summary
 from service.core.rows import Gap, History, RowState, StateRun, Stretch, StretchSearch, Summaries, joined_stretches
 from service.ports.archive import LIVE, Intervals, ListPart, SampledCarriers
 from service.records.calibration import Window
@@ -44,27 +43,15 @@ ATTITUDE, IMPULSE = "attitude", "impulse"
 _CARRIERS = "carriers "
 
 
-class Figures(NamedTuple):
-    """Figures of rows: (T,) microseconds UTC and (T, C) values, NaN = absent."""
+def figures(rows: Sequence[AttitudeRow | TorqueCommand]) -> tuple[IntArray, FloatArray]:
+    """Return what is sampled of the rows that a method computed: `ATTITUDE_FIGURES`, or the impulse.
 
-    epochs_us: IntArray
-    values: FloatArray
-
-
-class CarrierFigures(NamedTuple):
-    """Deviations and residuals of the rows of a plan: (T,) microseconds UTC and (T, 2 N) steps of ``STEP_DB``."""
-
-    plan_id: int
-    epochs_us: IntArray
-    steps: FloatArray
-
-
-def figures(rows: Sequence[AttitudeRow | TorqueCommand]) -> Figures:
-    """Return what is sampled of the rows that a method computed: `ATTITUDE_FIGURES`, or the impulse."""
+    Epochs, (T,) microseconds UTC, and values, (T, C), NaN = absent.
+    """
     # a row without a calibration says only that nothing was computed
     computed = [row for row in rows if isinstance(row, TorqueCommand) or row.calibration_id is not None]
     epochs_us = np.array([row.epoch_us for row in computed], dtype=np.int64)
-    return Figures(epochs_us, np.array([_figures(row) for row in computed], dtype=np.float64))
+    return epochs_us, np.array([_figures(row) for row in computed], dtype=np.float64)
 
 
 def _figures(row: AttitudeRow | TorqueCommand) -> tuple[float, ...]:
@@ -79,15 +66,18 @@ def carriers_name(plan_id: int) -> str:
     return f"{_CARRIERS}{plan_id}"
 
 
-def carrier_figures(rows: Iterable[Any]) -> Iterator[CarrierFigures]:
-    """Yield what stored rows of attitude hold of the carriers of each plan."""
+def carrier_figures(rows: Iterable[Any]) -> Iterator[tuple[int, IntArray, FloatArray]]:
+    """Yield what stored rows of attitude hold of the carriers of each plan, by its number.
+
+    Epochs, (T,) microseconds UTC, and deviations and residuals, (T, 2 N) steps of ``STEP_DB``.
+    """
     by_plan: dict[int, list[tuple[int, bytes]]] = {}
     for row in rows:
         if row.carriers is not None:
             by_plan.setdefault(plan_of_carriers(row.carriers), []).append((row.epoch_us, row.carriers))
     for plan_id, found in by_plan.items():
         epochs_us, blobs = zip(*found, strict=True)
-        yield CarrierFigures(plan_id, np.array(epochs_us, dtype=np.int64), carrier_steps(blobs))
+        yield plan_id, np.array(epochs_us, dtype=np.int64), carrier_steps(blobs)
 
 
 def sampled_figures(
@@ -317,11 +307,7 @@ def _states_of(row: AttitudeRow) -> Iterator[RowState]:
     yield from (RowState("advice", name) for name in row.advice)
     if row.downlink_fade:
         yield RowState("fade", "downlink")
-    yield from starmap(_exclusion, row.excluded)
-
-
-def _exclusion(carrier: str, reason: str) -> RowState:
-    return RowState("exclusion", reason, carrier)
+    yield from (RowState("exclusion", reason, carrier) for carrier, reason in row.excluded)
 
 
 class ResultRows:

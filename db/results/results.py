@@ -7,13 +7,14 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from functools import partial
 from itertools import chain, count, repeat, zip_longest
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from sqlalchemy import ColumnElement, Connection, Row, and_, bindparam, func, select, update
+from sqlalchemy import ColumnElement, Connection, Table, and_, bindparam, func, select, update
 
+from db.columns import sound_rows
 from db.connection.writer import insert_new
-from db.database import ALL_ROWS, Database, lock_head
+from db.database import ALL_ROWS, lock_head
 from db.encoding.segments import RowSeries
 from db.measurements.archive import store_inputs
 from db.results.calibrations import SqlCalibrations
@@ -21,7 +22,6 @@ from db.results.jobs import SqlJobs, SqlReplays, check_held, checkpoints, note_r
 from db.results.result_samples import sampled_carriers, sampled_figures, seal_results, state_history
 from db.results.stored_rows import (
     AttitudeReader,
-    PendingCount,
     attitude_columns,
     attitude_of,
     attitudes_of,
@@ -29,6 +29,7 @@ from db.results.stored_rows import (
     newest_row,
     next_sealed_sequence,
     numbers_where,
+    pending_rows,
     sealed_of_sequences,
     sealed_positions,
     stored_rows,
@@ -38,8 +39,7 @@ from db.results.stored_rows import (
     unpack_carriers,
     unsealed_positions,
 )
-from db.schema.columns import sound_rows
-from db.schema.tables import attitude, head, torque
+from db.tables import attitude, head, torque
 from service.core.rows import History, Summaries
 from service.ports.archive import LIVE, SMOOTHED, Cursor, Intervals, ListPart, Outcome, SampledCarriers
 from service.records.calibration import Alignment, Window
@@ -62,20 +62,14 @@ _ADVANCE = (
 )
 
 
-class Consumed(NamedTuple):
-    """Position of the consumer after the outcomes."""
-
-    number: int
-    epoch_us: int | None
-
-
 def store_outcomes(
     connection: Connection,
     key: int,
     version: str,
     outcomes: Sequence[Outcome],
-    consumed: Consumed,
-    checkpoint: Checkpoint | None = None,
+    consumed_number: int,
+    consumed_epoch_us: int | None,
+    checkpoint: Checkpoint | None,
 ) -> int:
     """Store outcomes and return the last result sequence; runs in the writer's transaction."""
     state = lock_head(connection, key)
@@ -93,7 +87,10 @@ def store_outcomes(
     if checkpoint is not None:
         store_checkpoint(connection, key, LIVE, checkpoint)
     sequence = int(state.result_sequence) + len(fresh)
-    _advance(connection, key, state, consumed, sequence)
+    # never back
+    epochs_us = [epoch_us for epoch_us in (state.consumed_epoch_us, consumed_epoch_us) if epoch_us is not None]
+    number, epoch_us = max(state.consumed_number, consumed_number), max(epochs_us, default=None)
+    connection.execute(_ADVANCE, {"key": key, "number": number, "epoch_us": epoch_us, "sequence": sequence})
     return sequence
 
 
@@ -155,19 +152,8 @@ def _insert(
     )
 
 
-def _advance(connection: Connection, key: int, state: Row[Any], consumed: Consumed, sequence: int) -> None:
-    """Move the consumer's head, never back."""
-    epochs_us = [epoch_us for epoch_us in (state.consumed_epoch_us, consumed.epoch_us) if epoch_us is not None]
-    number, epoch_us = max(state.consumed_number, consumed.number), max(epochs_us, default=None)
-    connection.execute(_ADVANCE, {"key": key, "number": number, "epoch_us": epoch_us, "sequence": sequence})
-
-
 class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
     """Results in a relational database."""
-
-    def __init__(self, database: Database) -> None:
-        super().__init__(database)
-        self._pending = PendingCount()
 
     def save_outcomes(
         self,
@@ -179,8 +165,7 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
         checkpoint: Checkpoint | None = None,
     ) -> int:
         """Store outcomes in one transaction and return the last result sequence."""
-        consumed = Consumed(consumed_number, consumed_epoch_us)
-        store = self._storing(spacecraft_id, version, outcomes, consumed, checkpoint)
+        store = self._storing(spacecraft_id, version, outcomes, consumed_number, consumed_epoch_us, checkpoint)
         return self._database.write(store, self._database.key(spacecraft_id))
 
     def submit_outcomes(
@@ -192,23 +177,15 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
         checkpoint: Checkpoint | None = None,
     ) -> Future[int]:
         """Queue live outcomes; the future gives the last sequence after the commit."""
-        consumed = Consumed(consumed_number, consumed_epoch_us)
-        store = self._storing(spacecraft_id, LIVE, outcomes, consumed, checkpoint)
+        store = self._storing(spacecraft_id, LIVE, outcomes, consumed_number, consumed_epoch_us, checkpoint)
         return self._database.submit(store, key=self._database.key(spacecraft_id))
 
-    def _storing(
-        self,
-        spacecraft_id: str,
-        version: str,
-        outcomes: Sequence[Outcome],
-        consumed: Consumed,
-        checkpoint: Checkpoint | None,
-    ) -> Callable[[Connection], int]:
+    def _storing(self, spacecraft_id: str, version: str, *what: Any) -> Callable[[Connection], int]:
         """Return the write that stores outcomes, under the lease of the spacecraft but for replays."""
         key = self._database.key(spacecraft_id)
 
         def store(connection: Connection) -> int:
-            return store_outcomes(connection, key, version, outcomes, consumed, checkpoint)
+            return store_outcomes(connection, key, version, *what)
 
         return self._database.leases.under(store, spacecraft_id) if version in (LIVE, SMOOTHED) else store
 
@@ -225,25 +202,16 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
         The live version has exactly one row a consumed measurement: ``db.results.stored_rows`` fills in rows that
         were not computed.
         """
-        key = self._database.key(spacecraft_id)
-        with self._database.read() as connection:
-            if version == LIVE:
-                reader = AttitudeReader(connection, self._database.segments, key, method)
-                return reader.rows(part)
-            of = RowSeries(key, attitude, version, method.value)
-            rows = stored_rows(connection, of, part)
-            check_held(connection, key, version)
-        return attitudes_of(rows)
+        if version != LIVE:
+            return attitudes_of(self._stored_rows(spacecraft_id, attitude, version, part, method.value))
+        with self._read(spacecraft_id) as (connection, key):
+            return AttitudeReader(connection, self._database.segments, key, method).rows(part)
 
     def carrier_results(
         self, spacecraft_id: str, version: str, method: Method, window: Window
     ) -> dict[tuple[int, int], CarrierResults]:
         """Return what a method made of the carriers at the rows of a window, by (epoch, number), where it is stored."""
-        key = self._database.key(spacecraft_id)
-        with self._database.read() as connection:
-            of = RowSeries(key, attitude, version, method.value)
-            rows = stored_rows(connection, of, ListPart(window, ALL_ROWS))
-            check_held(connection, key, version)
+        rows = self._stored_rows(spacecraft_id, attitude, version, ListPart(window, ALL_ROWS), method.value)
         return {(row.epoch_us, row.number): unpack_carriers(row.carriers) for row in rows if row.carriers is not None}
 
     def sampled_attitude(
@@ -274,8 +242,7 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
 
     def newest_attitude(self, spacecraft_id: str, version: str, method: Method) -> AttitudeRow | None:
         """Return the row with the greatest epoch."""
-        key = self._database.key(spacecraft_id)
-        with self._database.read() as connection:
+        with self._read(spacecraft_id) as (connection, key):
             if version == LIVE:
                 computed = newest_computed(connection, key, method)
                 return computed or AttitudeReader(connection, self._database.segments, key, method).newest()
@@ -284,17 +251,20 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
 
     def commands(self, spacecraft_id: str, version: str, part: ListPart) -> list[TorqueCommand]:
         """Return computed commands in order of (epoch, number) beyond a cursor."""
-        key = self._database.key(spacecraft_id)
-        with self._database.read() as connection:
-            of = RowSeries(key, torque, version)
-            rows = stored_rows(connection, of, part)
+        return torques_of(self._stored_rows(spacecraft_id, torque, version, part))
+
+    def _stored_rows(
+        self, spacecraft_id: str, table: Table, version: str, part: ListPart, method: str = ""
+    ) -> list[Any]:
+        """Return rows as they are stored; NotFoundError ``replay.unknown`` where the version was deleted."""
+        with self._read(spacecraft_id) as (connection, key):
+            rows = stored_rows(connection, RowSeries(key, table, version, method), part)
             check_held(connection, key, version)
-        return torques_of(rows)
+        return rows
 
     def newest_command(self, spacecraft_id: str, version: str) -> TorqueCommand | None:
         """Return the newest computed command."""
-        key = self._database.key(spacecraft_id)
-        with self._database.read() as connection:
+        with self._read(spacecraft_id) as (connection, key):
             row = newest_row(connection, RowSeries(key, torque, version))
         return None if row is None else torque_of(row)
 
@@ -302,9 +272,7 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
         self, spacecraft_id: str, sequence: int, limit: int
     ) -> list[tuple[int, AttitudeRow | TorqueCommand]]:
         """Return live results with a sequence above the given one, in order: what a resumed stream missed."""
-        key = self._database.key(spacecraft_id)
-
-        with self._database.read() as connection:
+        with self._read(spacecraft_id) as (connection, key):
             found = _results(connection, key, sequence, limit)
             if not found and (following := _next_sequence(connection, key, sequence)) is not None:
                 # retention has taken away what followed
@@ -313,31 +281,24 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
 
     def carriers_after(self, spacecraft_id: str, sequence: int, until: int) -> dict[int, CarrierResults]:
         """Return what is stored of the carriers with the live results of sequences in (sequence, until]."""
-        key, column = self._database.key(spacecraft_id), attitude.c
-        is_wanted = and_(column.spacecraft_key == key, column.sequence > sequence, column.sequence <= until)
-        with self._database.read() as connection:
+        column = attitude.c
+        with self._read(spacecraft_id) as (connection, key):
+            is_wanted = and_(column.spacecraft_key == key, column.sequence > sequence, column.sequence <= until)
             rows = connection.execute(select(column.sequence, column.carriers).where(is_wanted)).all()
             sealed = [row for row in sealed_of_sequences(connection, key, sequence, until) if hasattr(row, "carriers")]
         return {row.sequence: unpack_carriers(row.carriers) for row in (*rows, *sealed) if row.carriers is not None}
 
     def pending(self, spacecraft_id: str, methods: Sequence[Method]) -> int:
         """Return how many rows that feed the estimator, later than the alignment's epoch, lack a result of a method."""
-        key = self._database.key(spacecraft_id)
-        with self._database.read() as connection:
-            return self._pending.count(connection, self._database.segments, key, methods)
-
-    def mark_complete(self, spacecraft_id: str, methods: Sequence[Method]) -> None:
-        """Store up to where every row has its results, for the first count of another process."""
-        self.pending(spacecraft_id, methods)
-        key = self._database.key(spacecraft_id)
-        self._database.write(lambda connection: self._pending.store(connection, key))
+        with self._read(spacecraft_id) as (connection, key):
+            return pending_rows(connection, self._database.segments, key, methods)
 
     def rows_after(self, spacecraft_id: str, alignment: Alignment) -> tuple[int, int]:
         """Return how many of the earlier stored rows after its epoch an alignment computes, and how many stay."""
-        key, number = self._database.key(spacecraft_id), self.alignment_number(spacecraft_id, alignment.id)
+        number = self.alignment_number(spacecraft_id, alignment.id)
         methods = tuple(Method(name) for name in alignment.calibration_by_method)
-        with self._database.read() as connection:
-            waiting = self._pending.count(connection, self._database.segments, key, methods)
+        with self._read(spacecraft_id) as (connection, key):
+            waiting = pending_rows(connection, self._database.segments, key, methods)
             numbers, alignments = _alignments_after(connection, key, alignment.epoch_us)
         is_own = alignments == alignment.id
         computed = np.unique(numbers[is_own & (numbers < number)])

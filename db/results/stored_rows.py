@@ -5,22 +5,22 @@ for a measurement that it consumed before a method had a calibration and an alig
 reading, with the reason that held when the measurement was consumed: journal numbers tell which activations stood
 before it.
 
-Which measurements lack a result is counted here too. Results are never taken away, so rows once found complete stay
-complete: below a journal number that is remembered for each alignment and method nothing has to be counted again, and
-the count costs what has come since.
+Which measurements lack a result is counted here too: of those behind the newest entry that the chain has consumed, and
+of all after an alignment that it has not.
 """
 
 import math
 from collections import namedtuple
 from collections.abc import Iterator, Sequence
 from functools import cache, cached_property, partial
-from itertools import starmap
+from itertools import chain, starmap
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from sqlalchemy import Connection, Table, and_, delete, func, select
+from sqlalchemy import Connection, Table, and_, func, select
 
+from db.columns import Figure, sound_rows
 from db.database import ALL_ROWS, newest_rows, page_of, position_of, start_of_last, within
 from db.encoding.column_blob import ColumnBlob, Positions
 from db.encoding.measurement_rows import ChunkRun
@@ -38,19 +38,17 @@ from db.encoding.segments import (
 )
 from db.measurements.closed_days import kept_from_us
 from db.measurements.measurement_pages import EVER, LIGHT, MAX_NUMBER, Chosen, MeasurementPages
-from db.schema.columns import Figure, sound_rows
-from db.schema.tables import (
+from db.tables import (
     alignment,
     attitude,
     calibration,
-    complete_mark,
     journal,
     measurement,
     retention_mark,
     segment,
     torque,
 )
-from db.schema.tables import head as head_table
+from db.tables import head as head_table
 from service.ports.archive import LIVE, Cursor, ListPart
 from service.records.calibration import CalibrationMethod, Window
 from service.records.catalogue import Method
@@ -208,6 +206,8 @@ def read_results(connection: Connection, head: SegmentHead) -> ResultSegment:
     return opened(connection, head, partial(ResultSegment, head))
 
 
+#: of a series, its last row
+NEWEST = ListPart(EVER, 1, newest_first=True)
 #: positions in one query
 _LOOKUP = 250
 #: rows in memory at once as records
@@ -247,6 +247,11 @@ def stored_rows(connection: Connection, of: RowSeries, part: ListPart) -> list[A
     return sorted(rows + sealed, key=position_of)[:limit]
 
 
+def newest_row(connection: Connection, of: RowSeries) -> Any | None:
+    """Return the row with the greatest (epoch, number)."""
+    return next(iter(stored_rows(connection, of, NEWEST)), None)
+
+
 def _start_of_newest(connection: Connection, of: RowSeries, window: Window, count: int) -> int:
     """Return an epoch from which on so many rows of a window stand; its start where there are fewer."""
     epoch = of.table.c.epoch_us
@@ -257,21 +262,6 @@ def _start_of_newest(connection: Connection, of: RowSeries, window: Window, coun
     epochs_us = (read_results(connection, head).epochs_us for head in found)
     inside = (each[(each >= window.start_us) & (each < window.stop_us)] for each in epochs_us)
     return start_of_last(inside, count, start_us)
-
-
-def newest_row(connection: Connection, of: RowSeries, before_us: int = 1 << 62) -> Any | None:
-    """Return the row with the greatest (epoch, number) before an epoch."""
-    table = of.table
-    query = select(table).where(*of.of_rows(), table.c.epoch_us < before_us)
-    newest_of_table = query.order_by(table.c.epoch_us.desc(), table.c.number.desc()).limit(1)
-    row: Any = next(iter(sound_rows(table, connection.execute(newest_of_table))), None)
-    start_us = -(1 << 62) if row is None else row.epoch_us
-    head = next(heads(connection, of.of_segments(), start_us, before_us, newest_first=True), None)
-    if head is None:
-        return row
-    found = read_results(connection, head)
-    (sealed,) = found.rows(np.flatnonzero(found.epochs_us < before_us)[-1:])
-    return sealed if row is None else max(row, sealed, key=position_of)
 
 
 def stored_numbers(connection: Connection, of: RowSeries, window: Window) -> IntArray:
@@ -392,12 +382,7 @@ class AttitudeReader:
 
     def newest(self) -> AttitudeRow | None:
         """Return the row with the greatest epoch."""
-        begin_us = max(kept_from_us(self._connection, self._key, "attitude"), self._measured_from_us)
-        newest = self._pages.newest(self._consumed(Window(begin_us, EVER.stop_us)))
-        if newest is not None:
-            return self._records([_Consumed(*newest)])[0]
-        row = newest_row(self._connection, self._stored, self._measured_from_us)
-        return None if row is None else attitude_of(row)
+        return next(iter(self.rows(NEWEST)), None)
 
     def _left(self, part: ListPart) -> list[AttitudeRow]:
         return attitudes_of(stored_rows(self._connection, self._stored, part))
@@ -465,57 +450,24 @@ def _of_run(run: ChunkRun) -> Iterator[_Consumed]:
 _AT_ONCE = 10_000
 
 
-class PendingCount:
-    """Counter of pending rows, with what it knows to be complete."""
-
-    def __init__(self) -> None:
-        #: journal number up to which every row after the alignment has all results
-        self._complete: dict[tuple[int, int, tuple[str, ...]], int] = {}
-
-    def count(self, connection: Connection, cache: SegmentCache, key: int, methods: Sequence[Method]) -> int:
-        """Return how many rows after the newest alignment lack a result of one of the methods; 0 without one."""
-        newest = (
-            select(alignment.c.alignment_id, alignment.c.epoch_us)
-            .where(alignment.c.spacecraft_key == key)
-            .order_by(alignment.c.alignment_id.desc())
-            .limit(1)
-        )
-        aligned = connection.execute(newest).first()
-        if aligned is None or not methods:
-            return 0
-        names = tuple(sorted(method.value for method in methods))
-        known = (key, int(aligned.alignment_id), names)
-        number = connection.scalar(select(head_table.c.newest_number).where(head_table.c.spacecraft_key == key)) or 0
-        complete = self._complete.get(known)
-        if complete is None:
-            complete = _stored(connection, known)
-        # what retention has taken away is not awaited
-        epoch_us = max(aligned.epoch_us, kept_from_us(connection, key, "attitude") - 1)
-        of_rows = _lacking_rows(connection, key, epoch_us, complete, names)
-        lacking = [*of_rows, *_lacking_sealed(connection, cache, key, epoch_us, complete, names)]
-        first = min((int(numbers.min()) for numbers in lacking), default=None)
-        self._complete[known] = number if first is None else first - 1
-        return sum(map(len, lacking))
-
-    def store(self, connection: Connection, key: int) -> None:
-        """Store what is known to be complete of a spacecraft, for the first count after a start."""
-        for known, number in list(self._complete.items()):
-            if known[0] == key and number > _stored(connection, known):
-                is_it = (complete_mark.c.spacecraft_key == key, complete_mark.c.methods == ",".join(known[2]))
-                connection.execute(delete(complete_mark).where(*is_it))
-                values = {"spacecraft_key": key, "methods": ",".join(known[2]), "alignment_id": known[1]}
-                connection.execute(complete_mark.insert().values(**values, number=number))
-
-
-def _stored(connection: Connection, known: tuple[int, int, tuple[str, ...]]) -> int:
-    """Return the stored number of an alignment and methods, 0 where there is none."""
-    key, alignment_id, names = known
-    query = select(complete_mark.c.number).where(
-        complete_mark.c.spacecraft_key == key,
-        complete_mark.c.methods == ",".join(names),
-        complete_mark.c.alignment_id == alignment_id,
+def pending_rows(connection: Connection, cache: SegmentCache, key: int, methods: Sequence[Method]) -> int:
+    """Return how many rows after the newest alignment lack a result of one of the methods; 0 without one."""
+    newest = (
+        select(alignment.c.number, alignment.c.epoch_us, head_table.c.consumed_number)
+        .join(head_table, head_table.c.spacecraft_key == alignment.c.spacecraft_key)
+        .where(alignment.c.spacecraft_key == key)
+        .order_by(alignment.c.alignment_id.desc())
     )
-    return connection.scalar(query) or 0
+    aligned = connection.execute(newest.limit(1)).first()
+    if aligned is None or not methods:
+        return 0
+    # an alignment counts as consumed when every row after it has its results, and so does each row from then on
+    complete = aligned.consumed_number if aligned.consumed_number >= aligned.number else 0
+    # what retention has taken away is not awaited
+    epoch_us = max(aligned.epoch_us, kept_from_us(connection, key, "attitude") - 1)
+    names = [method.value for method in methods]
+    of_rows = _lacking_rows(connection, key, epoch_us, complete, names)
+    return sum(map(len, chain(of_rows, _lacking_sealed(connection, cache, key, epoch_us, complete, names))))
 
 
 def _lacking_rows(

@@ -398,9 +398,6 @@ class Results(Protocol):
     def pending(self, spacecraft_id: str, methods: Sequence[Method]) -> int:
         """Return how many rows that feed the estimator, later than the alignment's epoch, lack a result of a method."""
 
-    def mark_complete(self, spacecraft_id: str, methods: Sequence[Method]) -> None:
-        """Store up to where no row is pending, so that the first count after a start need not look at all rows."""
-
     def rows_after(self, spacecraft_id: str, alignment: Alignment) -> tuple[int, int]:
         """Return of the rows later than an alignment and stored before it how many it computes, and how many stay.
 

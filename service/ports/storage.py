@@ -333,9 +333,6 @@ class Notes(Protocol):
         Yields how many, a transaction a step.
         """
 
-    def newest(self, limit: int, spacecraft_id: str | None = None) -> list[Note]:
-        """Return the notes with the greatest epochs, newest first."""
-
     def last_written(self, limit: int, spacecraft_id: str | None = None) -> list[Note]:
         """Return the notes that were stored last, newest first, whatever instant they are about."""
 

@@ -14,9 +14,9 @@ from service_process import serving_on
 from db.encoding.column_blob import pack_columns
 from db.encoding.segments import DAY_US, MeasuredColumns, measured_arrays
 from db.results.result_samples import STATES, stretch_blob
-from db.schema.tables import segment, summary
+from db.sealing import bins_of
 from db.storage import SqlStorage
-from db.summaries import bins_of
+from db.tables import segment, summary
 from service.core.rows import RowState, StateRun, Stretch
 from service.ports.archive import ATTITUDE_FIGURES, LIVE
 from service.records.catalogue import LIVE_METHODS

@@ -10,8 +10,8 @@ from stored_records import AUDIT_EVENT
 
 from db.connection.engines import open_engines
 from db.maintenance.backup import ARCHIVE_FILE, MANIFEST_FILE, create_backup, restore_backup, verify_backup
-from db.schema.tables import LAYOUT, metadata
 from db.storage import SqlStorage
+from db.tables import LAYOUT, metadata
 from service.ports.archive import ListPart, Outcome
 from service.records.catalogue import LIVE_METHODS
 from service.records.inputs import Operation

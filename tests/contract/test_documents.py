@@ -6,10 +6,10 @@ from hashlib import sha256
 
 import pytest
 
-from db.documents import COVERED, digest_of
+from db.encoding.record_codec import COVERED, digest_of
 from db.maintenance.backup import create_backup
 from db.maintenance.doctor import diagnose
-from db.schema.tables import metadata
+from db.tables import metadata
 from service.errors import StorageError
 from service.records.catalogue import Ephemeris
 from service.runtime.clock import system_now_us

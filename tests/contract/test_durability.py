@@ -15,8 +15,8 @@ from db.connection.engines import BoundedConnection, NoAnswerError
 from db.connection.writer import ATTEMPTS
 from db.encoding.segments import DAY_US
 from db.measurements import closed_days
-from db.schema.tables import retention_mark
 from db.storage import SqlStorage
+from db.tables import retention_mark
 from service.errors import ConflictError, StorageError
 from service.ports.archive import ListPart, Outcome
 from service.records.calibration import Window

@@ -13,8 +13,8 @@ from sqlalchemy import text
 from db.connection import lease
 from db.connection.lease import require_own_session
 from db.maintenance.doctor import diagnose
-from db.schema.tables import LEASE_US
 from db.storage import SqlStorage
+from db.tables import LEASE_US
 from service.errors import StorageError
 from service.ports.archive import Outcome
 from service.ports.storage import ARCHIVE

@@ -14,7 +14,7 @@ from stored_records import ALARM, AUDIT_EVENT, COMMAND
 
 from db.encoding.segments import DAY_US, SegmentCache
 from db.measurements.ingest import StoreBatch, prepare
-from db.schema.tables import head, measurement, sequence_interval, source
+from db.tables import head, measurement, sequence_interval, source
 from service.errors import NotFoundError
 from service.ports.archive import LIVE, ListPart, Outcome
 from service.records.calibration import Window

@@ -141,7 +141,7 @@ def test_notes_are_added_and_told_in_order_of_their_epochs(storage, make):
     assert storage.notes.notes(ListPart(make.ever, 10), "craft") == [early, general, late, fixed]
     assert storage.notes.notes(ListPart(make.ever, 10)) == [early, other, general, late, fixed]
     assert storage.notes.notes(ListPart(make.ever, 2, (10, early.id)), "craft") == [general, late]
-    assert storage.notes.newest(2, "craft") == [fixed, late]
+    assert storage.notes.notes(ListPart(make.ever, 2, newest_first=True), "craft") == [fixed, late]
     assert storage.notes.last_written(3, "craft") == [fixed, general, early]
 
 
@@ -172,14 +172,14 @@ def test_closed_alarms_are_dropped_with_their_changes_and_open_ones_stay(storage
     assert len(storage.alarms.changes(late.id)) == 2
 
 
-def test_notes_are_dropped_by_the_instant_they_are_about(storage):
+def test_notes_are_dropped_by_the_instant_they_are_about(storage, make):
     def note(epoch_us, spacecraft_id):
         return storage.notes.add(Note(0, spacecraft_id, epoch_us, epoch_us, "anna", "text"))
 
     old, other, general, late = (note(*each) for each in ((5, "a"), (5, "b"), (5, None), (9, "a")))
     assert list(storage.notes.drop_before("a", 9)) == [1]
     assert list(storage.notes.drop_before(None, 9)) == [1]
-    assert {each.id for each in storage.notes.newest(10)} == {other.id, late.id}
+    assert {each.id for each in storage.notes.notes(ListPart(make.ever, 10))} == {other.id, late.id}
     for gone in (old, general):
         with pytest.raises(NotFoundError):
             storage.notes.note(gone.id)

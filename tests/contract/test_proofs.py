@@ -13,10 +13,10 @@ from sqlalchemy import select, update
 from stored_records import ALARM
 
 import db.maintenance.integrity_check
+from db.columns import CHECKSUM_BYTES, checksum_of
 from db.maintenance.backup import create_backup, restore_backup, verify_backup
 from db.maintenance.doctor import diagnose
-from db.schema.columns import CHECKSUM_BYTES, checksum_of
-from db.schema.tables import attitude, measurement, metadata
+from db.tables import attitude, measurement, metadata
 from service.errors import StorageError
 from service.ports.archive import LIVE, ListPart, Outcome
 from service.records.calibration import Window
@@ -233,7 +233,7 @@ def readers(setting):
     window = Window(0, DAY_US)
     of = (setting.id, "live", Method.ROBUST, window)
     notes = setting.storage.notes
-    note_id = notes.newest(1, setting.id)[0].id
+    note_id = notes.notes(ListPart(window, 1), setting.id)[0].id
     with setting.storage._database.read() as connection:
         alarm_id = connection.scalar(select(metadata.tables["alarm_change"].c.alarm_id))
     return {
@@ -251,7 +251,7 @@ def readers(setting):
             lambda: archive.journal(setting.id, 0, 99, is_compared=True),
         ],
         "trace": [lambda: setting.storage.traces.trace(setting.id, 10)],
-        "note": [lambda: notes.note(note_id), lambda: notes.newest(9, setting.id)],
+        "note": [lambda: notes.note(note_id), lambda: notes.notes(ListPart(window, 9), setting.id)],
         "alarm_change": [lambda: setting.storage.alarms.changes(alarm_id)],
         "attitude": [
             lambda: results.attitude_rows(*of[:3], ListPart(window, 99)),

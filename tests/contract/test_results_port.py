@@ -568,7 +568,8 @@ def test_pending_counts_rows_after_the_alignment_without_a_result_of_every_metho
     assert pending(*BOTH) == pending(Method.ROBUST) == 2
     assert pending() == 0
     rows = outcomes(setting, make, (Method.ROBUST,))
-    setting.consume(rows[1:2])
+    # while the alignment is under way results are stored and nothing counts as consumed
+    setting.storage.results.save_outcomes(setting.id, LIVE, rows[1:2], 0, None)
     assert (pending(Method.ROBUST), pending(Method.PAPER), pending(*BOTH)) == (1, 2, 2)
     setting.consume(outcomes(setting, make))
     assert pending(*BOTH) == 0

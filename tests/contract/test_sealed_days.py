@@ -11,12 +11,12 @@ from block_rows import row_sources
 from sqlalchemy import select, update
 
 from db import sealing
+from db.columns import checksum_of
 from db.encoding.column_blob import pack_columns
 from db.encoding.segments import DAY_US, SegmentCache, heads_where, of_measurements
 from db.maintenance.integrity_check import examine_content
-from db.schema.columns import checksum_of
-from db.schema.tables import measurement, segment
 from db.storage import SqlStorage
+from db.tables import measurement, segment
 from service.core.rows import SampleBins
 from service.errors import StorageError
 from service.ports.archive import LIVE, ListPart, Outcome

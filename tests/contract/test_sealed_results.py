@@ -10,8 +10,8 @@ from db import sealing
 from db.encoding.segments import DAY_US
 from db.measurements import closed_days
 from db.results.stored_rows import pack_carriers
-from db.schema.tables import attitude, segment, torque
 from db.storage import SqlStorage
+from db.tables import attitude, segment, torque
 from service.errors import StorageError
 from service.ports.archive import LIVE, ListPart, Outcome
 from service.records.calibration import Window

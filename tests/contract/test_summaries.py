@@ -14,7 +14,7 @@ from db.encoding.segments import DAY_US
 from db.maintenance.integrity_check import compare_summaries
 from db.results import result_samples
 from db.results.results import SqlResults
-from db.schema.tables import segment, summary
+from db.tables import segment, summary
 from service.core.rows import GapSearch, RowState, SampleBins
 from service.ports.archive import ATTITUDE_FIGURES, LIVE, ListPart, Outcome
 from service.records.calibration import Window
@@ -307,25 +307,6 @@ def test_a_version_of_a_replay_is_sampled_as_the_live_one(summed, make):
         found = check_attitude(summed, Window(0, 3 * DAY_US), 72, version="replay-1")
         assert found.all_intervals().counts[:, 0].sum() == 200
         seal(summed)
-
-
-def test_the_first_count_of_a_process_begins_where_the_last_one_ended(summed, make, monkeypatch):
-    """Rows with results are not counted again after a start."""
-    summed.calibrate()
-    summed.align(5)
-    results, methods = summed.storage.results, (Method.ROBUST,)
-    results.mark_complete(summed.id, methods)
-    head = summed.storage.archive.head(summed.id)
-    looked = []
-    lacking = "db.results.stored_rows._lacking_rows"
-    monkeypatch.setattr(lacking, lambda *arguments: looked.append(arguments[3]) or ())
-    monkeypatch.setattr("db.results.stored_rows._lacking_sealed", lambda *_: iter(()))
-    results._pending = type(results._pending)()
-    assert results.pending(summed.id, methods) == 0
-    assert looked == [head.newest_number]
-    results._pending = type(results._pending)()
-    results.pending(summed.id, LIVE_METHODS)
-    assert looked[1] == 0, "of other methods nothing is known"
 
 
 DAYS = 4

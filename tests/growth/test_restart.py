@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from busy_station import SC, Station
 
-from db.schema.tables import checkpoint
+from db.tables import checkpoint
 from service.pipeline.config import ChainConfig
 from service.runtime.live.journal_consumer import ChainRestarts
 

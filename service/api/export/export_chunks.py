@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from service.formats.tabular.series_tables import JoinedRow
+from service.formats.series_tables import JoinedRow
 from service.ports.archive import ListPart
 from service.ports.storage import Storage
 from service.records.calibration import Window

@@ -15,9 +15,9 @@ from typing import Any, Literal, NamedTuple, cast
 from service.api.context import ApiContext, check_method, check_version
 from service.api.export import export_chunks
 from service.errors import InvalidInputError, NotFoundError
+from service.formats import series_tables
 from service.formats.ccsds import AemWriter, AttitudeMessage
-from service.formats.tabular import series_tables
-from service.formats.tabular.table_file import (
+from service.formats.table_file import (
     MeasurementColumns,
     SeriesTable,
     TableFormat,

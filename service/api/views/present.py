@@ -138,22 +138,17 @@ class SpacecraftNow:
 
     @property
     def pending(self) -> int:
-        """Rows that wait for a result; counted in the archive only where the chain cannot tell."""
-        head, (alignment_id, methods) = self.at.head, self._alignment
-        place = _Count(
-            head.newest_number, head.consumed_number, head.result_sequence, (alignment_id, methods, self._kept_from_us)
-        )
-        before = self._context.memory.known(self._id, "pending")
-        if before is not None and self._is_as_before(before[0], place):
-            self._context.memory.put(self._id, "pending", place, before[1])
-        return self._part("pending", place, lambda: self._count_pending(methods))
+        """Rows that wait for a result; none where the chain has consumed all."""
+        head = self.at.head
+        if head.consumed_number == head.newest_number:
+            return 0
+        place = head, self._alignment, self._kept_from_us
+        return self._part("pending", place, self._count_pending)
 
-    def _count_pending(self, methods: tuple[Method, ...]) -> int:
+    def _count_pending(self) -> int:
         """Return how many rows lack a result at the head that is told, or one where they got it meanwhile."""
-        head, count = self.at.head, self._storage.results.pending(self._id, methods)
-        if count or head.consumed_number == head.newest_number:
-            return count
-        return int(self._storage.archive.head(self._id).consumed_number > head.consumed_number)
+        count = self._storage.results.pending(self._id, self._alignment[1])
+        return count or int(self._storage.archive.head(self._id).consumed_number > self.at.head.consumed_number)
 
     def row(self, method: Method) -> AttitudeRow | None:
         """Return the newest live row of a method as it holds now; None before the first."""
@@ -175,7 +170,7 @@ class SpacecraftNow:
 
     def advice(self) -> tuple[str, ...]:
         """Return the advice of the newest row of the robust method."""
-        if self._newest is not None and Method.ROBUST in self._newest.lacking and not self._tail(Method.ROBUST):
+        if self._newest is not None and Method.ROBUST not in self._alignment[1]:
             # it gives rows without anything yet
             return ()
         row = self._stored_row(Method.ROBUST)
@@ -199,15 +194,6 @@ class SpacecraftNow:
             return (alignments[0].id if alignments else None), runnable_methods(alignments)
 
         return self._part("alignment", self.at.alignment_id, newest)
-
-    def _is_as_before(self, before: "_Count", place: "_Count") -> bool:
-        """Return whether as many rows lack a result as at a former count: the chain has given all since theirs."""
-        newest, number, (_, methods, _) = self._newest, before.consumed_number, place.of
-        if newest is None or before == place or before.of != place.of:
-            return False
-        is_at_end = number == before.newest_number and place.consumed_number == place.newest_number
-        lacking = max((newest.lacking.get(method, 0) for method in methods), default=0)
-        return is_at_end and newest.since_number <= number and lacking <= number
 
     def _tail(self, method: Method) -> tuple[AttitudeRow, ...]:
         """Return the newest rows of a method that the chain of this process has made."""
@@ -249,20 +235,10 @@ class SpacecraftNow:
             return tuple(each for each in contents if isinstance(each, Correction | ReleasedCommand))
 
         # applied commands are inputs too: the chain, which tells them apart, spares a look after each
-        chain = None if self._newest is None else (self._newest.since_number, self._newest.motion_number)
+        chain = None if self._newest is None else self._newest.motion_number
         motions = self._part("motions", chain or self.at.input_number, commanded)
         ends_us = [each.stop_us for each in motions if _start_of(each) <= until_us]
         return min(max([start_us, *ends_us]), until_us)
-
-
-class _Count(NamedTuple):
-    """Position at which pending rows were counted."""
-
-    newest_number: int
-    consumed_number: int
-    sequence: int
-    #: alignment and methods that they wait for, and from which epoch on results are kept
-    of: tuple[int | None, tuple[Method, ...], int | None]
 
 
 def _start_of(motion: Correction | ReleasedCommand) -> int:
@@ -409,7 +385,8 @@ _HOUR_US = 3600 * US_PER_S
 _DAY_US = 24 * _HOUR_US
 #: keys that end within this are told, us
 _KEYS_US = 30 * _DAY_US
-_NOTES = 20
+#: newest notes that are told
+_NEWEST_NOTES = ListPart(Window(-_EVER_US, _EVER_US), 20, newest_first=True)
 _OPERATIONS = 200
 
 
@@ -427,6 +404,7 @@ def handover_of(context: ApiContext, spacecraft_id: str) -> documents.HandoverAn
         **dict(status.control),
         "authorised_until": None,
     }
+    notes = context.storage.notes.notes(_NEWEST_NOTES, spacecraft_id)
     return documents.HandoverAnswer.model_validate(
         {
             "spacecraft_id": spacecraft_id,
@@ -441,7 +419,7 @@ def handover_of(context: ApiContext, spacecraft_id: str) -> documents.HandoverAn
             "links": _link_members(context, spacecraft_id),
             "sources": _sources(context, spacecraft_id),
             "operations": _operations(context, spacecraft_id, now_us),
-            "notes": [documents.NoteAnswer.of(note) for note in context.storage.notes.newest(_NOTES, spacecraft_id)],
+            "notes": [documents.NoteAnswer.of(note) for note in notes],
             "notices": _notices(context),
         }
     )

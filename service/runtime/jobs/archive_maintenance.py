@@ -137,23 +137,22 @@ class MaintenanceWork:
                 yield before_us
 
     def _sealed(self, spacecraft_id: str) -> Iterator[object]:
-        """Pack and summarise days that have ended and are quiet, and store up to where every row has its results."""
+        """Pack and summarise days that have ended and are quiet."""
         now_us, quiet_us = self._clock.now_us(spacecraft_id), int(self._sealing.quiet_s * US_PER_S)
         if now_us is None:
             return
-        results, before_us = self._storage.results, now_us - quiet_us
+        before_us = now_us - quiet_us
         for part in self._storage.archive.seal(spacecraft_id, before_us, self._clock.system_us() - quiet_us):
             self.sealed_rows += part.rows
             what = (part.rows, spacecraft_id, f"source {part.source}", format_epoch(part.first_epoch_us))
             _LOG.info("sealed %d rows of %s, %s, from %s", *what)
             yield part
-        for sealed in results.seal(spacecraft_id, before_us):
+        for sealed in self._storage.results.seal(spacecraft_id, before_us):
             self.sealed_results += sealed.rows
             whose = f"version {sealed.version}, {sealed.series}"
             what = (sealed.rows, spacecraft_id, whose, format_epoch(sealed.first_epoch_us))
             _LOG.info("sealed %d rows of %s, %s, from %s", *what)
             yield sealed
-        results.mark_complete(spacecraft_id, runnable_methods(results.alignments(spacecraft_id)))
 
 
 def runnable_methods(alignments: Sequence[Alignment]) -> tuple[Method, ...]:

@@ -252,8 +252,23 @@ class Relay:
 _ROWS_AT_ONCE = 16
 
 
-class RowPublisher:
-    """Tells listeners of rows; safe from any thread.
+#: journal numbers of one spacecraft, 200 bytes a row at 32 carriers; fewer would not outlast a stop of a second
+_MOST_ROWS = 16_384
+
+
+class _Stored(NamedTuple):
+    """A batch that was stored as a whole."""
+
+    first: int
+    last: int
+    batch: MeasurementBatch
+    receipt: BatchReceipt
+    #: built already for a listener
+    rows: tuple[Measurement, ...] | None
+
+
+class CommittedRows:
+    """Rows as they are committed, for listeners and for the chain that follows; safe from any thread.
 
     Parameters
     ----------
@@ -266,28 +281,34 @@ class RowPublisher:
         self._lock = Lock()
         #: journal number up to which all is told, or was in the archive before anybody could listen
         self._reported: dict[str, int] = {}
+        #: newest batches of each spacecraft
+        self._batches: defaultdict[str, deque[_Stored]] = defaultdict(deque)
 
     def begin(self, spacecraft_id: str, number: int) -> None:
         """Start publishing the rows of a journal after a number."""
         with self._lock:
             self._reported[spacecraft_id] = max(number, self._reported.get(spacecraft_id, 0))
 
-    def stored(self, batch: MeasurementBatch, receipt: BatchReceipt) -> tuple[Measurement, ...] | None:
-        """Publish a batch that was committed just now, if it comes next, and return the rows that were published.
+    def stored(self, batch: MeasurementBatch, receipt: BatchReceipt) -> None:
+        """Keep a batch that was committed just now, and publish it if it comes next; called in the order of commits.
 
-        Called in the order of commits.
+        Only one that was stored as it came: so it is known what became of each row.
         """
-        if receipt.first_number is None or receipt.accepted > _ROWS_AT_ONCE or not is_whole(batch, receipt):
-            return None
+        first, name = receipt.first_number, batch.spacecraft_id
+        if first is None or receipt.accepted != len(batch.index) or receipt.flagged or receipt.accepted > _MOST_ROWS:
+            return
+        last, rows = first + receipt.accepted - 1, None
         with self._lock:
-            if self._reported.get(batch.spacecraft_id) == receipt.first_number - 1:
-                self._reported[batch.spacecraft_id] = receipt.first_number + receipt.accepted - 1
+            if receipt.accepted <= _ROWS_AT_ONCE and self._reported.get(name) == first - 1:
+                self._reported[name] = last
                 # who subscribes from here on finds the rows in the archive
-                if self._feed.has_subscribers(batch.spacecraft_id):
+                if self._feed.has_subscribers(name):
                     rows = tuple(stored_rows(batch, receipt))
-                    self._publish(batch.spacecraft_id, rows)
-                    return rows
-        return None
+                    self._publish(name, rows)
+            batches = self._batches[name]
+            batches.append(_Stored(first, last, batch, receipt, rows))
+            while last - batches[0].first >= _MOST_ROWS:
+                batches.popleft()
 
     def followed(self, spacecraft_id: str, entries: Sequence[JournalEntry]) -> None:
         """Publish those rows among the next entries of a journal that were not published yet."""
@@ -298,16 +319,28 @@ class RowPublisher:
                 rows = (entry.content for entry in entries if entry.number > reported)
                 self._publish(spacecraft_id, tuple(row for row in rows if isinstance(row, Measurement)))
 
+    def after(self, spacecraft_id: str, number: int, limit: int) -> list[JournalEntry]:
+        """Return some entries that follow a journal number without gap, none where they are not here.
+
+        What is given is no longer kept. A batch more than ``limit`` entries may come, never a part of one.
+        """
+        taken: list[_Stored] = []
+        reached = number
+        with self._lock:
+            batches = self._batches[spacecraft_id]
+            while batches and batches[0].last <= number:
+                batches.popleft()
+            while batches and reached < number + limit and batches[0].first <= reached + 1:
+                taken.append(batches.popleft())
+                reached = taken[-1].last
+        rows = (row for each in taken for row in each.rows or stored_rows(each.batch, each.receipt))
+        return [JournalEntry(row.number, row) for row in rows if row.number > number]
+
     def _publish(self, spacecraft_id: str, rows: Sequence[Measurement]) -> None:
         # a row moves the first part of a listener's place alone
         events = tuple(FeedEvent("measurement", Cursor(row.number, 0), row) for row in rows)
         if events:
             self._feed.publish(spacecraft_id, events)
-
-
-def is_whole(batch: MeasurementBatch, receipt: BatchReceipt) -> bool:
-    """Return whether all rows of a batch were stored as they came, so that what became of each is known."""
-    return receipt.accepted == len(batch.index) and not receipt.flagged
 
 
 def stored_rows(batch: MeasurementBatch, receipt: BatchReceipt) -> Iterator[Measurement]:
@@ -344,62 +377,6 @@ def _details(details: CarrierDetails | None, position: int) -> CarrierDetails | 
     statistics = details.row(position).astype(np.float64)
     statistics.setflags(write=False)
     return None if np.isnan(statistics).all() else CarrierDetails(*statistics)
-
-
-#: journal numbers of one spacecraft, 200 bytes a row at 32 carriers; fewer would not outlast a stop of a second
-_MOST_ROWS = 16_384
-
-
-class _Stored(NamedTuple):
-    """A batch that was stored as a whole."""
-
-    first: int
-    last: int
-    batch: MeasurementBatch
-    receipt: BatchReceipt
-    #: built already for a listener
-    rows: tuple[Measurement, ...] | None
-
-
-class FreshRows:
-    """Rows by spacecraft; safe from any thread."""
-
-    def __init__(self) -> None:
-        self._lock = Lock()
-        #: newest batches of each spacecraft
-        self._batches: defaultdict[str, deque[_Stored]] = defaultdict(deque)
-
-    def stored(
-        self, batch: MeasurementBatch, receipt: BatchReceipt, rows: tuple[Measurement, ...] | None = None
-    ) -> None:
-        """Keep a batch that was committed just now, if it was stored as a whole; called in the order of commits.
-
-        ``rows`` are its records where somebody has built them already.
-        """
-        if receipt.first_number is not None and is_whole(batch, receipt) and receipt.accepted <= _MOST_ROWS:
-            last = receipt.first_number + receipt.accepted - 1
-            with self._lock:
-                batches = self._batches[batch.spacecraft_id]
-                batches.append(_Stored(receipt.first_number, last, batch, receipt, rows))
-                while last - batches[0].first >= _MOST_ROWS:
-                    batches.popleft()
-
-    def after(self, spacecraft_id: str, number: int, limit: int) -> list[JournalEntry]:
-        """Return some entries that follow a journal number without gap, none where they are not here.
-
-        What is given is no longer kept. A batch more than ``limit`` entries may come, never a part of one.
-        """
-        taken: list[_Stored] = []
-        reached = number
-        with self._lock:
-            batches = self._batches[spacecraft_id]
-            while batches and batches[0].last <= number:
-                batches.popleft()
-            while batches and reached < number + limit and batches[0].first <= reached + 1:
-                taken.append(batches.popleft())
-                reached = taken[-1].last
-        rows = (row for each in taken for row in each.rows or stored_rows(each.batch, each.receipt))
-        return [JournalEntry(row.number, row) for row in rows if row.number > number]
 
 
 #: what alarms look at

@@ -21,10 +21,10 @@ from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
 from service.ports.archive import LIVE, Outcome
 from service.ports.storage import Storage, Term
-from service.records.catalogue import LIVE_METHODS, Method
+from service.records.catalogue import Method
 from service.records.inputs import AlignmentSet, AttitudeReference, Correction, JournalEntry
 from service.records.levels.attitude import AppliedCommand, AttitudeRow, CarrierState, ReleasedCommand, TorqueCommand
-from service.records.levels.measurement import BatchReceipt, HeadState, Measurement, MeasurementBatch
+from service.records.levels.measurement import HeadState, Measurement
 from service.records.storage import Checkpoint
 from service.runtime.clock import system_now_us
 from service.runtime.live.journal_consumer import (
@@ -38,7 +38,7 @@ from service.runtime.live.journal_consumer import (
     trips_after,
 )
 from service.runtime.live.leadership import always, is_moving
-from service.runtime.live.live_feed import FeedEvent, FreshRows, LiveFeed, Relay, ReleaseWatcher, RowPublisher, Watcher
+from service.runtime.live.live_feed import CommittedRows, FeedEvent, LiveFeed, Relay, ReleaseWatcher, Watcher
 
 _LOG = logging.getLogger("soo.supervisor")
 
@@ -133,13 +133,9 @@ class NewestResults(NamedTuple):
     #: entry of the journal up to which they are, and sequence of the last of them
     consumed_number: int
     sequence: int
-    #: entry from which on the chain has consumed all
-    since_number: int
     #: of each method some rows without a gap, the newest last
     rows: dict[Method, tuple[AttitudeRow, ...]]
     command: TorqueCommand | None
-    #: the newest row without a result of a method, by method
-    lacking: dict[Method, int]
     #: the newest commanded motion that it knows of, or where it began
     motion_number: int
 
@@ -148,23 +144,16 @@ class NewestResults(NamedTuple):
     ) -> "NewestResults":
         """Return the newest results after some more entries, up to a number, of which came outcomes."""
         rows, command = dict(self.rows), self.command
-        methods: dict[int, set[Method]] = {}
         for outcome in outcomes:
             for row in outcome.rows:
-                methods.setdefault(row.number, set()).add(row.method)
                 before = rows.get(row.method, ())
                 # a late row stands between others
                 is_next = not before or (row.epoch_us, row.number) > (before[-1].epoch_us, before[-1].number)
                 rows[row.method] = (*before[1 - _ROWS_AT_HAND :], row) if is_next else before[-1:]
             if outcome.command is not None and (command is None or outcome.command.epoch_us >= command.epoch_us):
                 command = outcome.command
-        lacking, motion_number = dict(self.lacking), self.motion_number
-        for entry in entries:
-            if isinstance(entry.content, Correction | ReleasedCommand):
-                motion_number = entry.number
-            if isinstance(entry.content, Measurement) and entry.content.feeds_estimator:
-                lacking |= dict.fromkeys(set(LIVE_METHODS) - methods.get(entry.number, set()), entry.number)
-        return NewestResults(number, sequence, self.since_number, rows, command, lacking, motion_number)
+        moving = (entry.number for entry in entries if isinstance(entry.content, Correction | ReleasedCommand))
+        return NewestResults(number, sequence, rows, command, max(moving, default=self.motion_number))
 
 
 @dataclass
@@ -239,8 +228,7 @@ class Supervisor:
         self._release = release
         self._turn = turn
         self._relay = Relay(storage, feed)
-        self._publisher = RowPublisher(feed)
-        self._fresh = FreshRows()
+        self._committed = CommittedRows(feed)
         self.restarts = ChainRestarts(storage, config, lambda: self._is_stopping)
         self._watcher = watcher
         self._feed = feed
@@ -257,7 +245,7 @@ class Supervisor:
     def start(self) -> None:
         """Bring every chain back to where it was and follow the journals from there."""
         self._due.update((spacecraft.id, _UNKNOWN) for spacecraft in self._storage.catalogue.all_spacecraft())
-        self._storage.archive.listen(self._stored)
+        self._storage.archive.listen(self._committed.stored)
         self._thread = threading.Thread(target=self._run, name="soo-supervisor", daemon=True)
         self._thread.start()
 
@@ -347,10 +335,6 @@ class Supervisor:
                 time.sleep(_PAUSE_S)
         self._keep_states()
 
-    def _stored(self, batch: MeasurementBatch, receipt: BatchReceipt) -> None:
-        """Take over a batch that was committed just now, on the writer's thread."""
-        self._fresh.stored(batch, receipt, self._publisher.stored(batch, receipt))
-
     def _grown(self) -> tuple[str, ...]:
         """Return the spacecraft of which another service may have taken something in."""
         try:
@@ -421,13 +405,13 @@ class Supervisor:
         if follower.consumed_number >= up_to:
             return False
         index = (follower.spacecraft_id, follower.consumed_number, _ENTRIES_AT_ONCE)
-        fresh = self._fresh.after(*index)
+        fresh = self._committed.after(*index)
         follower.left = fresh or self._storage.archive.journal(*index)
         # nothing unconsumed is ever dropped, so less than asked for was all; what came since has notified
         follower.has_more = bool(fresh) or len(follower.left) >= _ENTRIES_AT_ONCE
         if follower.left:
             # rows were stored before they were accepted: listeners need not wait for what is computed from them
-            self._publisher.followed(follower.spacecraft_id, follower.left)
+            self._committed.followed(follower.spacecraft_id, follower.left)
         return bool(follower.left)
 
     def _block(self, follower: _Follower) -> tuple[list[JournalEntry], StepResults]:
@@ -448,10 +432,10 @@ class Supervisor:
         stream_s = until_s - _BLOCK_S + _STEP_S
         # waiting for a commit after every few rows would never catch up with fast front ends
         while not (follower.left or step.has_applied or time.monotonic() >= stream_s or self._is_stopping):
-            more = self._fresh.after(follower.spacecraft_id, entries[-1].number, _ENTRIES_AT_ONCE)
+            more = self._committed.after(follower.spacecraft_id, entries[-1].number, _ENTRIES_AT_ONCE)
             if not more:
                 break
-            self._publisher.followed(follower.spacecraft_id, more)
+            self._committed.followed(follower.spacecraft_id, more)
             follower.left = self._consume(follower, more, step, until_s)
             entries = entries + more
         return entries[: len(entries) - len(follower.left)], step
@@ -570,10 +554,10 @@ class Supervisor:
             return None
         chain, kept_us = back
         number, command = head.consumed_number, self._storage.results.newest_command(spacecraft_id, LIVE)
-        newest = NewestResults(number, head.result_sequence, number, {}, command, {}, number)
+        newest = NewestResults(number, head.result_sequence, {}, command, number)
         follower = _Follower(spacecraft_id, chain, turn, number, head.consumed_epoch_us, newest, kept_us)
         self._followers[spacecraft_id] = follower
-        self._publisher.begin(spacecraft_id, follower.consumed_number)
+        self._committed.begin(spacecraft_id, follower.consumed_number)
         return follower
 
     def _checkpoint(self, follower: _Follower, number: int, after_us: int) -> Checkpoint | None:

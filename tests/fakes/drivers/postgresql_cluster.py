@@ -20,8 +20,8 @@ from child_processes import children_of
 from sqlalchemy import create_engine, delete
 from sqlalchemy.engine import URL, make_url
 
-from db.schema.tables import metadata
 from db.storage import SqlStorage
+from db.tables import metadata
 
 #: nobody
 _PLAIN_ID = 65534

@@ -28,8 +28,8 @@ from db.connection.engines import reading_engine
 from db.maintenance.backup import restore_backup, verify_backup
 from db.maintenance.doctor import diagnose
 from db.maintenance.integrity_check import examine
-from db.schema.tables import checkpoint
 from db.storage import SqlStorage
+from db.tables import checkpoint
 from service.records.storage import BackupError, worst
 from service.runtime.clock import system_now_us
 

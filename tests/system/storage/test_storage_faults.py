@@ -22,8 +22,8 @@ from bench.bench_storage import outcome_of, prepare_catalogue
 from bench.bench_summaries import STEP_US, append
 from db.encoding.segments import DAY_US
 from db.maintenance.backup import create_backup, restore_backup
-from db.schema.tables import attitude, metadata, segment
 from db.storage import SqlStorage
+from db.tables import attitude, metadata, segment
 from service.errors import StorageError
 from service.ports.archive import LIVE, ListPart
 from service.records.calibration import Window

@@ -9,14 +9,14 @@ from threading import Event
 import pytest
 from sqlalchemy import create_engine, select, text
 from sqlalchemy.dialects.postgresql import psycopg
-from sqlalchemy.exc import OperationalError
+from sqlalchemy.exc import IntegrityError, OperationalError
 from sqlalchemy.schema import CreateTable
 
+from db.columns import checksums_of
 from db.connection.engines import FileWatch, open_engines, translated_faults
 from db.connection.writer import GROUP_LIMIT, Writer, insert_new
 from db.results.stored_rows import attitude_columns
-from db.schema.columns import checksums_of
-from db.schema.tables import attitude, create_tables, measurement
+from db.tables import attitude, create_tables, measurement
 from service.errors import StorageError
 from service.records.catalogue import Method
 from service.records.levels.attitude import row_without_attitude
@@ -213,6 +213,16 @@ def test_rows_that_stand_stay_as_they_are(rows):
     assert [row.checksum for row in stored] == checksums
     assert all(math.isnan(row.common_db) for row in stored)
     assert insert_new(connection, attitude, dict.fromkeys(changed, ())) == 0
+
+
+def test_a_row_that_stands_is_an_error_where_none_may(rows):
+    engine = create_engine("sqlite://")
+    with engine.begin() as connection:
+        attitude.create(connection)
+        insert_new(connection, attitude, columns_of(rows[:1]), may_exist=False)
+        with pytest.raises(IntegrityError):
+            insert_new(connection, attitude, columns_of(rows), may_exist=False)
+    engine.dispose()
 
 
 def test_more_than_a_group_waiting_at_once_is_all_written_in_order(tmp_path):

@@ -17,8 +17,8 @@ from typer.testing import CliRunner
 from db.connection.engines import open_engines
 from db.maintenance.backup import MANIFEST_FILE, create_backup, restore_backup, verify_backup
 from db.maintenance.doctor import diagnose
-from db.schema.tables import LAYOUT, metadata
 from db.storage import SqlStorage
+from db.tables import LAYOUT, metadata
 from service.cli.app import app
 from service.errors import StorageError
 from service.records.storage import BackupError

@@ -1,4 +1,4 @@
-"""Rows are stored together as one by one, and missing numbers of a source are counted whatever comes in what order."""
+"""Missing numbers of a source are counted whatever comes in what order."""
 
 from itertools import pairwise
 
@@ -8,56 +8,8 @@ from hypothesis import strategies as st
 from sqlalchemy import delete, select
 
 from db.connection.engines import open_engines
-from db.measurements.ingest import insert_rows
 from db.measurements.sequence_numbers import RUNS_KEPT, Block, NumberedRow, SequenceNumbers, Tail, blocks_of
-from db.schema.columns import measurement_checksum
-from db.schema.tables import create_tables, measurement, sequence_interval
-
-
-@pytest.fixture(scope="module", params=["sqlite", "postgresql"])
-def engine(request, tmp_path_factory):
-    if request.param == "sqlite":
-        url = f"sqlite:///{tmp_path_factory.mktemp('rows') / 'soo.db'}"
-    else:
-        url = request.getfixturevalue("postgresql_cluster").new_database()
-    engines = open_engines(url)
-    with engines.write.begin() as connection:
-        create_tables(connection)
-    yield engines.write
-    engines.dispose()
-
-
-EPOCHS = st.integers(-(1 << 61), 1 << 61)
-BLOBS = st.none() | st.binary(max_size=9)
-NUMBERS = st.integers(1, 1 << 62)
-#: columns of a row behind its spacecraft and epoch
-REST = st.tuples(
-    st.integers(1, 9), NUMBERS, st.integers(1, 9), st.none() | NUMBERS, EPOCHS, st.booleans(), st.booleans()
-)
-ARRAYS = st.tuples(st.binary(min_size=1, max_size=9), BLOBS, BLOBS)
-
-
-@settings(
-    derandomize=True, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
-)
-@given(drawn=st.dictionaries(EPOCHS, st.tuples(REST, ARRAYS), min_size=1, max_size=6))
-def test_rows_are_stored_together_as_one_by_one(engine, drawn):
-    # no two rows of a spacecraft have one number
-    rows = [
-        (3, epoch_us, rest[0], rest[1] + place, *rest[2:], *arrays)
-        for place, (epoch_us, (rest, arrays)) in enumerate(sorted(drawn.items(), key=lambda row: row[1][0][1]))
-    ]
-    stored = []
-    for parts in ([rows], [[row] for row in rows]):
-        with engine.begin() as connection:
-            connection.execute(delete(measurement))
-            for part in parts:
-                insert_rows(connection, part)
-            stored.append(connection.execute(select(measurement).order_by(measurement.c.number)).all())
-    assert stored[0] == stored[1]
-    assert [tuple(row)[:-1] for row in stored[0]] == rows
-    assert [row.checksum for row in stored[0]] == list(map(measurement_checksum, rows))
-
+from db.tables import create_tables, sequence_interval
 
 BLOCKS = st.lists(
     st.tuples(st.integers(0, 40), st.integers(0, 5), st.integers(0, 99), st.booleans()), min_size=1, max_size=40

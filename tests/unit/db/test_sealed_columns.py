@@ -2,6 +2,7 @@
 
 import math
 import struct
+from collections import namedtuple
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,11 +13,12 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from pyarrow import parquet
 
+from db.columns import checksum_of
 from db.encoding.column_blob import ColumnBlob, decimals, levels_of, pack_columns
-from db.encoding.segments import MeasuredColumns, MeasurementSegment, SegmentCache, SegmentHead, measured_arrays
-from db.schema.columns import checksum_of
-from db.schema.tables import segment
-from db.summaries import HOUR_S, MINUTE_S, bins_from, bins_of, differences
+from db.encoding.segments import PLAIN_COLUMNS, MeasurementSegment, SegmentCache, SegmentHead
+from db.encoding.segments import measured_arrays as arrays_of_columns
+from db.sealing import HOUR_S, MINUTE_S, bins_from, bins_of, differences
+from db.tables import segment
 from service.core.rows import Summaries
 
 INT64 = st.integers(-(1 << 63), (1 << 63) - 1)
@@ -129,6 +131,11 @@ def test_levels_come_back_bit_for_bit_or_are_no_decimals(levels):
 
 
 KINDS = 4
+MeasuredColumns = namedtuple("MeasuredColumns", ["epochs_us", *PLAIN_COLUMNS[1:], "power_dbm", "flags", "details"])
+
+
+def measured_arrays(rows):
+    return arrays_of_columns(dict(zip(PLAIN_COLUMNS, rows, strict=False)), *rows[len(PLAIN_COLUMNS) :])
 
 
 @st.composite
@@ -157,8 +164,9 @@ def head_of(rows: MeasuredColumns) -> SegmentHead:
 @given(rows=measured())
 def test_every_bit_of_a_segment_comes_back(rows):
     blob = ColumnBlob(pack_columns(measured_arrays(rows)), len(rows.epochs_us))
-    found = MeasurementSegment(head_of(rows), blob, "sa-1").rows()
-    for name, column in found._asdict().items():
+    found = MeasurementSegment(head_of(rows), blob, "sa-1")
+    whole = MeasuredColumns(*blob.whole(*PLAIN_COLUMNS), found.power_dbm(), found.all_flags(), found.details())
+    for name, column in whole._asdict().items():
         wanted = getattr(rows, name)
         # any NaN is "not measured"
         np.testing.assert_array_equal(column, wanted, name)

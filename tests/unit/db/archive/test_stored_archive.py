@@ -9,14 +9,14 @@ import pytest
 from fixture_archive import EXPECTED, unpacked, values
 
 from db.maintenance.doctor import diagnose
-from db.schema.tables import LAYOUT
 from db.storage import SqlStorage
+from db.tables import LAYOUT
 
 #: estimates of another processor or numpy differ in the last digits, deg and N m s
 ANGLE_DEG, IMPULSE_N_M_S = 1e-6, 1e-8
 #: after all rows of the archive were received, year 2096
 NOW_US = 4_000_000_000_000_000
-NEW = "after a change of the layout raise LAYOUT in db/schema/tables.py, then `make archive` makes the archive new"
+NEW = "after a change of the layout raise LAYOUT in db/tables.py, then `make archive` makes the archive new"
 
 
 @pytest.fixture(scope="module")

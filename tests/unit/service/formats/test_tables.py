@@ -18,8 +18,8 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 from pyarrow import parquet
 
-from service.formats.tabular import table_file
-from service.formats.tabular.series_tables import (
+from service.formats import table_file
+from service.formats.series_tables import (
     ATTITUDE,
     EVENTS,
     REFERENCES,
@@ -28,7 +28,7 @@ from service.formats.tabular.series_tables import (
     joined_table,
     plain_value,
 )
-from service.formats.tabular.table_file import (
+from service.formats.table_file import (
     Column,
     MeasurementColumns,
     SeriesTable,

@@ -175,17 +175,11 @@ class Results:
     """Seals results of a replay each time; keeps until when."""
 
     def __init__(self):
-        self.before_us, self.marked = [], []
+        self.before_us = []
 
     def seal(self, _name, before_us):
         self.before_us.append(before_us)
         yield SealedResults("attitude", "replay-1", "paper", NOW_US - DAY_US, 7, 9)
-
-    def alignments(self, _name):
-        return ()
-
-    def mark_complete(self, name, methods):
-        self.marked.append((name, methods))
 
 
 class Clock:
@@ -226,12 +220,6 @@ def test_versions_are_dropped_by_the_age_of_the_replay(archive):
     made.do_all()
     assert archive.asked[0] == ("replays", "a", NOW_US + 5 - 2 * DAY_US)
     assert made.dropped_rows["replays"] == 7
-
-
-def test_rows_without_pending_results_are_marked(archive):
-    made = maintainer(archive)
-    made.do_all()
-    assert made._storage.results.marked == [("a", ())]
 
 
 def test_series_are_dropped_by_age_and_by_size(archive, monkeypatch):

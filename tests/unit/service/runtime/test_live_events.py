@@ -16,7 +16,7 @@ from service.records.inputs import AlignmentSet, JournalEntry, SpacecraftChange
 from service.records.levels.attitude import AttitudeRow, row_without_attitude
 from service.records.levels.measurement import BatchReceipt, CarrierDetails, Measurement
 from service.runtime.live.journal_consumer import result_events
-from service.runtime.live.live_feed import Cursor, DroppedRows, FeedEvent, LiveFeed, RowPublisher, stored_rows
+from service.runtime.live.live_feed import CommittedRows, Cursor, DroppedRows, FeedEvent, LiveFeed, stored_rows
 
 pytestmark = pytest.mark.anyio
 
@@ -156,18 +156,18 @@ def listener():
 @pytest.fixture
 def publisher_events(listener):
     """Return news of a journal that is followed from behind number 10."""
-    events = RowPublisher(listener)
+    events = CommittedRows(listener)
     events.begin("sc", 10)
     return events
 
 
-def stored(events: RowPublisher, first: int, rows: int = 1, **changes: int) -> None:
+def stored(events: CommittedRows, first: int, rows: int = 1, **changes: int) -> None:
     """Tell of a batch that was stored under the numbers from ``first`` on."""
     receipt = BatchReceipt(rows, 0, 0, (), first_number=first, feeds_estimator=True)
     events.stored(zeros(rows), replace(receipt, **changes))  # type: ignore[arg-type]
 
 
-def followed(events: RowPublisher, *numbers: int) -> None:
+def followed(events: CommittedRows, *numbers: int) -> None:
     """Come to entries of the journal."""
     (row,) = stored_rows(zeros(1), BatchReceipt(1, 0, 0, (), first_number=1))
     events.followed("sc", [JournalEntry(number, replace(row, number=number)) for number in numbers])
@@ -199,7 +199,7 @@ def test_who_follows_comes_first(publisher_events, listener):
 
 
 def test_a_journal_that_nobody_follows_yet_is_not_told(publisher_events, listener):
-    fresh = RowPublisher(listener)
+    fresh = CommittedRows(listener)
     stored(fresh, 1)
     assert listener.numbers == []
 
@@ -227,7 +227,7 @@ def test_a_backlog_is_left_to_who_follows_the_journal(publisher_events, listener
 
 
 def test_rows_without_a_listener_count_as_told(listener):
-    events = RowPublisher(LiveFeed())
+    events = CommittedRows(LiveFeed())
     events.begin("sc", 10)
     stored(events, 11)
     events._feed = listener

@@ -29,7 +29,7 @@ from service.records.inputs import (
 from service.records.levels.attitude import Axes
 from service.records.levels.measurement import BatchReceipt, Measurement
 from service.runtime.live.journal_consumer import MOTION_KINDS, STANDING_KINDS, DocumentCache, consume, update_before
-from service.runtime.live.live_feed import FreshRows, LiveFeed, RowPublisher
+from service.runtime.live.live_feed import CommittedRows, LiveFeed, Subscription
 
 
 @pytest.fixture
@@ -189,15 +189,15 @@ def test_each_document_is_read_once():
 
 @pytest.fixture
 def fresh():
-    return FreshRows()
+    return CommittedRows(LiveFeed())
 
 
-def store(fresh: FreshRows, first: int | None, rows: int, *, accepted: int | None = None, sc: str = "sc") -> None:
+def store(fresh: CommittedRows, first: int | None, rows: int, *, accepted: int | None = None, sc: str = "sc") -> None:
     """Keep a batch that was stored under the numbers from ``first`` on."""
     fresh.stored(zeros(rows, sc), BatchReceipt(rows if accepted is None else accepted, 0, 0, (), first_number=first))
 
 
-def after(fresh: FreshRows, number: int, limit: int = 100) -> list[int]:
+def after(fresh: CommittedRows, number: int, limit: int = 100) -> list[int]:
     """Return the journal numbers that follow."""
     entries = fresh.after("sc", number, limit)
     assert all(entry.number == entry.content.number for entry in entries)
@@ -213,21 +213,17 @@ def test_what_follows_is_given_once_and_in_order(fresh):
 
 
 def test_rows_that_a_listener_was_given_are_not_built_again(fresh):
-    publisher = RowPublisher(feed := LiveFeed())
-    publisher.begin("sc", 10)
+    fresh.begin("sc", 10)
     loop = asyncio.new_event_loop()
     with closing(loop):
-        loop.run_until_complete(_subscribed(feed))
-        batch = zeros(2)
-        receipt = BatchReceipt(2, 0, 0, (), first_number=11)
-        published = publisher.stored(batch, receipt)
-        fresh.stored(batch, receipt, published)
-    assert published is not None
-    assert [id(entry.content) for entry in fresh.after("sc", 10, 100)] == [id(row) for row in published]
+        subscription = loop.run_until_complete(_subscribed(fresh._feed))
+        store(fresh, 11, 2)
+        events, _ = loop.run_until_complete(subscription.next_events(60.0))
+    assert [id(entry.content) for entry in fresh.after("sc", 10, 100)] == [id(event.content) for event in events]
 
 
-async def _subscribed(feed: LiveFeed) -> None:
-    feed.subscribe("sc")
+async def _subscribed(feed: LiveFeed) -> Subscription:
+    return feed.subscribe("sc")
 
 
 def test_nothing_behind_a_gap_is_given_before_the_gap_is_read_elsewhere(fresh):

@@ -9,7 +9,7 @@ from sqlalchemy import update
 
 from db.results import jobs
 from db.results.jobs import LATEST
-from db.schema.tables import checkpoint as table
+from db.tables import checkpoint as table
 from service.pipeline.checkpoints import fingerprint
 from service.pipeline.config import ChainConfig, RobustConfig
 from service.ports.archive import LIVE

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from service.formats.numbers import shortest_float32
-from service.formats.tabular.table_file import Column, Kind, MeasurementColumns, SeriesTable
+from service.formats.table_file import Column, Kind, MeasurementColumns, SeriesTable
 from service.records.epoch import format_epoch
 from service.records.inputs import AttitudeReference, PolarizationRecord, TelemetryRecord
 from service.records.levels.attitude import (

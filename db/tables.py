@@ -28,12 +28,10 @@ from sqlalchemy import (
     text,
 )
 
-from db.schema import tables  # noqa: F401 - they add their tables
-from db.schema.columns import (
+from db.columns import (
     Figure,
     checksum_column,
     keys,
-    measurement_checksum,
     needed,
     optional,
     record_columns,
@@ -44,7 +42,7 @@ from service.records.levels.attitude import AttitudeRow, TorqueCommand
 metadata = MetaData()
 
 
-#: digest: see db.documents, here and in the other tables of documents
+#: digest: see db.encoding.record_codec, here and in the other tables of documents
 spacecraft = Table(
     "spacecraft",
     metadata,
@@ -135,9 +133,9 @@ measurement = Table(
     *needed(Boolean, "is_late", "feeds"),
     # see db.encoding.measurement_rows
     Column("powers", LargeBinary, nullable=False),
-    *optional(LargeBinary, "flags", "figures", "checksum"),
+    *optional(LargeBinary, "flags", "figures"),
+    checksum_column(),
     Index("measurement_number", "spacecraft_key", "number", unique=True),
-    info={"checksum": measurement_checksum},
     sqlite_with_rowid=False,
 )
 
@@ -167,7 +165,7 @@ segment = Table(
     Index("segment_sequence", "spacecraft_key", "last_sequence", "first_sequence"),
 )
 
-#: of the rows of a segment (db.summaries); goes with it
+#: of the rows of a segment (db.sealing); goes with it
 summary = Table(
     "summary",
     metadata,
@@ -266,16 +264,6 @@ torque = Table(
     checksum_column(),
     Index("torque_sequence", "spacecraft_key", "sequence", unique=True),
     sqlite_with_rowid=False,
-)
-
-#: up to which journal number every row after an alignment has results of some methods
-complete_mark = Table(
-    "complete_mark",
-    metadata,
-    spacecraft_key(is_referencing=False),
-    *keys(Text, "methods"),
-    Column("alignment_id", Integer, nullable=False),
-    Column("number", BigInteger, nullable=False),
 )
 
 #: states from which a chain goes on: of the live version several, of a replay that may be interrupted one
@@ -543,7 +531,7 @@ uplink_product = Table(
 
 
 #: number of the layout that this program makes and reads
-LAYOUT = 8
+LAYOUT = 9
 
 #: one row; apart from the tables that a copy of an archive fills
 archive_layout = Table(

@@ -119,20 +119,10 @@ def _column(field: RecordField, name: str) -> Column[Any]:
 CHECKSUM_BYTES = 4
 #: year 2255
 _EPOCH_END_US = 1 << 53
-#: whole numbers of a measurement, and the sizes of its arrays
-_MEASUREMENT = struct.Struct("<12q")
 #: of values that no writer stores
 _NO_CHECKSUM = (ArithmeticError, AttributeError, TypeError, ValueError, struct.error)
 #: for what is absent, and size of a content
 _NONE, _SIZE = -(1 << 63), struct.Struct("<q")
-
-
-def measurement_checksum(row: Sequence[Any]) -> bytes:
-    """Checksum of a row of ``measurement``: of its columns in their order but this one; in a microsecond."""
-    *numbers, powers, flags, figures = row
-    sizes = [_NONE if part is None else len(part) for part in (powers, flags, figures)]
-    crc = zlib.crc32(powers, zlib.crc32(_MEASUREMENT.pack(*[_NONE if n is None else n for n in numbers], *sizes)))
-    return _bytes_of(zlib.crc32(figures or b"", zlib.crc32(flags or b"", crc)))
 
 
 def checksum_column() -> Column[bytes]:
@@ -176,18 +166,16 @@ def _with_size(content: str | bytes | None) -> bytes:
 
 def agrees(table: Table, row: Row[Any]) -> bool:
     """Return whether a row, all columns of its table, has its checksum; values that no writer stores have none."""
-    own = table.info.get("checksum")
     try:
-        computed = checksum_of(table, row._asdict()) if own is None else own(tuple(row)[:-1])
+        return bool(row.checksum == checksum_of(table, row._asdict()))
     except _NO_CHECKSUM:
         return False
-    return bool(row.checksum == computed)
 
 
 def soundness(table: Table, rows: Sequence[Row[Any]]) -> list[bool]:
     """Return which rows agree with their checksums, or have none: written by hand, which the doctor reports."""
-    if not rows or "checksum" in table.info:
-        return [row.checksum is None or agrees(table, row) for row in rows]
+    if not rows:
+        return []
     columns = dict(zip(rows[0]._fields, zip(*rows, strict=True), strict=True))
     try:
         computed = checksums_of(table, columns)

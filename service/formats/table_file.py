@@ -11,6 +11,7 @@ import io
 import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import chain
 from typing import Any, Generic, Literal, NamedTuple, TypeVar
 
 import numpy as np
@@ -29,74 +30,38 @@ GROUP_CELLS = 40 * GROUP_ROWS
 MERGED_BATCHES = 512
 
 
-class ParquetStream:
-    """Writer whose bytes are taken as they come; zstd.
+def _parquet_file(schema: Any, dictionary: Sequence[str], batches: Iterable[Any]) -> Iterator[bytes]:
+    """Yield a file of record batches, zstd, whose bytes are taken as they come.
 
-    Parameters
-    ----------
-    schema : pyarrow.Schema
-        Columns.
-    dictionary : sequence of str
-        Columns of few different texts.
+    Groups are whole but the last; how rows came in batches leaves no trace, so the same rows make the same bytes.
     """
+    # 90 ms that only Parquet needs
+    import pyarrow as pa
+    from pyarrow import parquet
 
-    def __init__(self, schema: Any, dictionary: tuple[str, ...] = ()) -> None:
-        # 90 ms that only Parquet needs
-        import pyarrow as pa
-        from pyarrow import parquet
-
-        self._pa: Any = pa
-        self._schema = schema
-        self._group_rows = min(GROUP_ROWS, GROUP_CELLS // len(schema))
-        self._sink = io.BytesIO()
-        # bytes of floats side by side: neighbours of a column agree in the high ones
-        split = [field.name for field in schema if pa.types.is_floating(field.type)]
-        self._writer: Any = parquet.ParquetWriter(
-            self._sink, schema, compression="zstd", use_dictionary=list(dictionary), use_byte_stream_split=split
-        )
-        self._fresh: list[Any] = []
-        self._held: list[Any] = []
-        self._held_rows = 0
-
-    def add(self, batch: Any) -> bytes:
-        """Add a record batch; return the bytes of the groups that it completes."""
-        self._fresh.append(batch)
-        self._held_rows += batch.num_rows
-        if len(self._fresh) >= MERGED_BATCHES:
-            self._merge()
-        if self._held_rows >= self._group_rows:
-            self._flush()
-        return self.taken()
-
-    def end(self) -> bytes:
-        """Return the last group and the index."""
-        self._flush(is_last=True)
-        self._writer.close()
-        return self.taken()
-
-    def taken(self) -> bytes:
-        """Return what the writer has put out since the last time."""
-        taken = self._sink.getvalue()
-        self._sink.seek(0)
-        self._sink.truncate()
-        return taken
-
-    def _merge(self) -> None:
-        """Make one batch of those that came last."""
-        table = self._pa.Table.from_batches(self._fresh, schema=self._schema)
-        self._held += table.combine_chunks().to_batches()
-        self._fresh = []
-
-    def _flush(self, *, is_last: bool = False) -> None:
-        """Write whole groups; how rows came in batches leaves no trace, so the same rows make the same bytes."""
-        table = self._pa.Table.from_batches([*self._held, *self._fresh], schema=self._schema)
-        self._fresh, start = [], 0
-        while table.num_rows - start >= self._group_rows or (is_last and start < table.num_rows):
-            group = table.slice(start, self._group_rows).combine_chunks()
-            self._writer.write_table(group, row_group_size=self._group_rows)
-            start += self._group_rows
-        self._held = table.slice(start).to_batches() if start < table.num_rows else []
-        self._held_rows = max(table.num_rows - start, 0)
+    sink, group_rows = io.BytesIO(), min(GROUP_ROWS, GROUP_CELLS // len(schema))
+    # bytes of floats side by side: neighbours of a column agree in the high ones
+    split = [field.name for field in schema if pa.types.is_floating(field.type)]
+    writer: Any = parquet.ParquetWriter(
+        sink, schema, compression="zstd", use_dictionary=list(dictionary), use_byte_stream_split=split
+    )
+    held, fresh, rows = schema.empty_table(), [schema.empty_table()], 0
+    for batch in chain(batches, [None]):
+        if batch is not None:
+            fresh.append(pa.Table.from_batches([batch]))
+            rows += batch.num_rows
+        if batch is None or rows >= group_rows or len(fresh) > MERGED_BATCHES:
+            held, fresh = pa.concat_tables([held, pa.concat_tables(fresh).combine_chunks()]), [schema.empty_table()]
+        while rows and (batch is None or rows >= group_rows):
+            writer.write_table(held.slice(0, group_rows).combine_chunks(), row_group_size=group_rows)
+            held = held.slice(group_rows)
+            rows = held.num_rows
+        if batch is None:
+            writer.close()
+        if chunk := sink.getvalue():
+            yield chunk
+            sink.seek(0)
+            sink.truncate()
 
 
 #: epoch: microseconds; figure: float64; level: float32 by its fewest digits; truth: bool; count: int;
@@ -172,18 +137,15 @@ def _parquet(table: SeriesTable[R], pages: Iterable[Sequence[R]]) -> Iterator[by
     }
     schema: Any = pa.schema([pa.field(column.name, types[column.kind]) for column in table.columns])
     texts = tuple(column.name for column in table.columns if column.kind in {"text", "document"})
-    stream = ParquetStream(schema, texts)
-    if start := stream.taken():
-        yield start
-    for page in pages:
-        columns = list(zip(*map(table.values, page), strict=True))
+
+    def batch_of(page: Sequence[R]) -> Any:
         arrays = [
             pa.array([_arrow_value(column.kind, value) for value in values], type=types[column.kind])
-            for column, values in zip(table.columns, columns, strict=True)
+            for column, values in zip(table.columns, zip(*map(table.values, page), strict=True), strict=True)
         ]
-        if arrays and (chunk := stream.add(pa.RecordBatch.from_arrays(arrays, schema=schema))):
-            yield chunk
-    yield stream.end()
+        return pa.RecordBatch.from_arrays(arrays, schema=schema)
+
+    return _parquet_file(schema, texts, (batch_of(page) for page in pages if page))
 
 
 def _arrow_value(kind: Kind, value: Any) -> Any:
@@ -363,12 +325,10 @@ def _block_parquet(columns: MeasurementColumns, blocks: Iterable[MeasurementBloc
     fields.append(pa.field("source", pa.string(), nullable=False))
     fields += [pa.field(name, pa.float32()) for name in columns.names[2:]]
     schema: Any = pa.schema(fields)
-    stream = ParquetStream(schema, ("source",))
-    yield stream.taken()
-    for block in blocks:
+
+    def batch_of(block: MeasurementBlock) -> Any:
         levels = [pa.array(level_dbm, from_pandas=True) for level_dbm in columns.values(block).T]
         epochs = pa.array(block.epochs_us).cast(schema.field(0).type)
-        arrays = [epochs, _of_sources(block, block.sources), *levels]
-        if chunk := stream.add(pa.RecordBatch.from_arrays(arrays, schema=schema)):
-            yield chunk
-    yield stream.end()
+        return pa.RecordBatch.from_arrays([epochs, _of_sources(block, block.sources), *levels], schema=schema)
+
+    return _parquet_file(schema, ("source",), map(batch_of, blocks))

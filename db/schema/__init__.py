@@ -1,1 +1,0 @@
-"""Tables of the archive and the number of their layout."""

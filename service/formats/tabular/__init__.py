@@ -1,1 +1,0 @@
-"""Rows as CSV, NDJSON and Parquet."""
