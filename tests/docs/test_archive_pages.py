@@ -213,7 +213,7 @@ def test_limits_and_checks_are_those_of_the_code() -> None:
     files = (
         "maintenance/integrity_check",
         "maintenance/doctor",
-        "measurements/journal_heads",
+        "measurements/measurement_pages",
     )
     code = "".join((root / f"db/{name}.py").read_text() for name in files)
     made = set(re.findall(r'Diagnosis\("(\w+)"', code))

@@ -137,7 +137,7 @@ ARCHIVE = (
     # other content for a stored row passes as a duplicate
     Mutant("sort_rows", "elif earlier == content:", "elif earlier is not content:"),
     # a row behind the consumed ones counts as in time
-    Mutant("_lateness", "batch.is_stale | (batch.epochs_us < consumed_us)", "batch.is_stale"),
+    Mutant("_Ingest.store", "batch.is_stale | (prepared.batch.epochs_us < consumed_us)", "batch.is_stale"),
     # compare and swap: two processes release from one state
     Mutant("_swap", "if (found or 0) != version:", "if (found or 0) < version:"),
     # a former leader writes on

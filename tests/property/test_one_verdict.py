@@ -120,7 +120,7 @@ def context_of(driver):
         alarms=SimpleNamespace(open_alarms=lambda _: ()),
         links=SimpleNamespace(links=lambda *_: ()),
         keys=SimpleNamespace(all=lambda: ()),
-        notes=SimpleNamespace(newest=lambda *_: ()),
+        notes=SimpleNamespace(notes=lambda *_: ()),
         state=lambda: SimpleNamespace(queued_writes=0, free_bytes=None),
     )
     return SimpleNamespace(

@@ -32,7 +32,7 @@ _MB = 1e6
 
 
 class StoredFacts(NamedTuple):
-    """What the archive holds of every spacecraft: statements for each of hundreds cost more than their rows."""
+    """Facts of every spacecraft in the archive: statements for each of hundreds cost more than their rows."""
 
     heads: dict[str, HeadState]
     links: tuple[LinkState, ...]
