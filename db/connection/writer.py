@@ -10,7 +10,7 @@ from queue import Empty, SimpleQueue
 from threading import Lock, Thread
 from typing import Any, Generic, TypeVar
 
-from sqlalchemy import Connection, Engine, Table
+from sqlalchemy import Boolean, Column, Connection, Engine, LargeBinary, Table
 from sqlalchemy.engine import Dialect
 from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 
@@ -72,8 +72,18 @@ def _insertion(
     """Return the statement that gives values to some columns, and what makes of each value that of the driver."""
     marks = ", ".join(["?" if dialect.positional else "%s"] * len(names))
     text = f"INSERT INTO {table.name} ({', '.join(names)}) VALUES ({marks})"  # noqa: S608 - names of the schema
-    kinds = (table.c[name].type.dialect_impl(dialect) for name in names)
-    return f"{text} ON CONFLICT DO NOTHING" if may_exist else text, tuple(k.bind_processor(dialect) for k in kinds)
+    converters = tuple(_converter(dialect, table.c[name]) for name in names)
+    return f"{text} ON CONFLICT DO NOTHING" if may_exist else text, converters
+
+
+def _converter(dialect: Dialect, column: Column[Any]) -> Callable[[Any], Any] | None:
+    """Return what makes of a value that of the driver; None where the driver takes it as it is."""
+    if isinstance(column.type, LargeBinary):
+        return None
+    if isinstance(column.type, Boolean) and not column.nullable:
+        # SQLAlchemy asks of each what it is
+        return bool
+    return column.type.dialect_impl(dialect).bind_processor(dialect)
 
 
 Result = TypeVar("Result")

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 from sqlalchemy import Connection, Row, Select, Table, case, delete, func, select, true, update
@@ -51,7 +52,7 @@ class SqlCatalogue(Repository):
         row = self._database.fetch_one(query)
         if row is None:
             raise _no_spacecraft(spacecraft_id)
-        return decode(Spacecraft, row.document, f"catalogue entry of {spacecraft_id}")
+        return _spacecraft_of(spacecraft_id, row.document)
 
     def whereabouts(self, spacecraft_id: str) -> Whereabouts:
         """Return where everything of a spacecraft stands, by one statement."""
@@ -68,8 +69,7 @@ class SqlCatalogue(Repository):
     def all_spacecraft(self) -> tuple[Spacecraft, ...]:
         """Return all spacecraft in order of id."""
         rows = self._database.fetch(select(spacecraft_table.c.id, spacecraft_table.c.document).join(head))
-        every = (decode(Spacecraft, row.document, f"catalogue entry of {row.id}") for row in rows)
-        return tuple(sorted(every, key=lambda found: found.id))
+        return tuple(sorted((_spacecraft_of(*row) for row in rows), key=lambda found: found.id))
 
     def delete_spacecraft(self, spacecraft_id: str) -> None:
         """Delete a spacecraft without rows; ConflictError ``spacecraft.has_rows``. Its id is not given again."""
@@ -108,6 +108,12 @@ class SqlCatalogue(Repository):
         """Return the names of the documents in force that differ from their digests."""
         with self._read(spacecraft_id) as (connection, key):
             return tuple(damaged_documents(connection, key))
+
+
+@lru_cache(maxsize=1024)
+def _spacecraft_of(spacecraft_id: str, document: str) -> Spacecraft:
+    """Return a spacecraft by its document: those of hundreds are asked for each second, and hardly ever change."""
+    return decode(Spacecraft, document, f"catalogue entry of {spacecraft_id}")
 
 
 def _no_spacecraft(spacecraft_id: str) -> NotFoundError:

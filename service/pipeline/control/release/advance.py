@@ -208,7 +208,8 @@ def _shown(state: ReleaseState) -> tuple[object, ...]:
     interlock, check = state.interlock, state.sign_check
     states = tuple((command.counter, command.state) for command in state.commands)
     shown = None if check is None else replace(check, log_ratio=None)
-    return interlock.state, interlock.reasons, interlock.authorisation, states, shown
+    # of a settled interlock `since` has its reasons
+    return interlock.state, interlock.since, interlock.authorisation, states, shown
 
 
 #: a tick does nothing but let time pass

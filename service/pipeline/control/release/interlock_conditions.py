@@ -144,11 +144,8 @@ class Condition(Enum):
     def __init__(self, consequence: Consequence, meaning: str) -> None:
         self.consequence = consequence
         self.meaning = meaning
-
-    @property
-    def word(self) -> str:
-        """Name as programs see it."""
-        return self.name.lower()
+        #: name as programs see it
+        self.word = self._name_.lower()
 
     def text(self, settings: ReleaseSettings) -> str:
         """Return when it stands, with the figures of some settings."""
