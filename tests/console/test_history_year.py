@@ -12,7 +12,7 @@ from release_ground import OPERATION_US, PAYLOAD, record, seed_archive, until
 from service_process import serving_on
 
 from db.encoding.column_blob import pack_columns
-from db.encoding.segments import DAY_US, MeasuredColumns, measured_arrays
+from db.encoding.segments import DAY_US, PLAIN_COLUMNS, measured_arrays
 from db.results.result_samples import STATES, stretch_blob
 from db.sealing import bins_of
 from db.storage import SqlStorage
@@ -84,8 +84,8 @@ def measured(epochs_us: np.ndarray, carriers: int) -> bytes:
     yes, no, zero = np.ones(count, np.bool_), np.zeros(count, np.bool_), np.zeros(count, np.int64)
     powers, flags = np.full((count, carriers), -50, np.float32), np.zeros((count, carriers), np.int32)
     details = np.full((count, 4, carriers), np.nan, np.float32)
-    rows = MeasuredColumns(epochs_us, zero, epochs_us, yes, no, no, zero - 1, powers, flags, details)
-    return pack_columns(measured_arrays(rows))
+    plain = dict(zip(PLAIN_COLUMNS, (epochs_us, zero, epochs_us, yes, no, no, zero - 1), strict=True))
+    return pack_columns(measured_arrays(plain, powers, flags, details))
 
 
 def lay_segment(connection, key, epochs_us, bins, method=None, content=b""):
