@@ -65,7 +65,7 @@ carrier_plan = Table(
     "carrier_plan",
     metadata,
     spacecraft_key(),
-    Column("plan_id", Integer, primary_key=True, autoincrement=False),
+    *keys(Integer, "plan_id"),
     *needed(Text, "sha256", "document", "digest"),
 )
 
@@ -73,7 +73,7 @@ ephemeris = Table(
     "ephemeris",
     metadata,
     spacecraft_key(),
-    Column("ephemeris_id", Integer, primary_key=True, autoincrement=False),
+    *keys(Integer, "ephemeris_id"),
     *needed(Text, "document", "digest"),
 )
 
@@ -81,7 +81,7 @@ source = Table(
     "source",
     metadata,
     spacecraft_key(),
-    Column("source_key", Integer, primary_key=True, autoincrement=False),
+    *keys(Integer, "source_key"),
     Column("name", Text, nullable=False),
     Column("is_prime", Boolean, nullable=False),
     Column("newest_epoch_us", BigInteger),
@@ -113,7 +113,7 @@ sequence_interval = Table(
     "sequence_interval",
     metadata,
     spacecraft_key(is_referencing=False),
-    Column("source_key", Integer, primary_key=True, autoincrement=False),
+    *keys(Integer, "source_key"),
     *keys(BigInteger, "run", "first_seq"),
     *needed(BigInteger, "last_seq", "after_us"),
     sqlite_with_rowid=False,
@@ -124,7 +124,7 @@ measurement = Table(
     metadata,
     spacecraft_key(is_referencing=False),
     Column("epoch_us", BigInteger, primary_key=True, autoincrement=False),
-    Column("source_key", Integer, primary_key=True, autoincrement=False),
+    *keys(Integer, "source_key"),
     Column("number", BigInteger, nullable=False),
     Column("plan_id", Integer, nullable=False),
     Column("seq", BigInteger),
@@ -211,7 +211,7 @@ operation = Table(
     "operation",
     metadata,
     spacecraft_key(),
-    Column("operation_id", Integer, primary_key=True, autoincrement=False),
+    *keys(Integer, "operation_id"),
     Column("revision", Integer, nullable=False),
     Column("number", BigInteger, nullable=False),
 )
@@ -220,7 +220,7 @@ calibration = Table(
     "calibration",
     metadata,
     spacecraft_key(),
-    Column("calibration_id", Integer, primary_key=True, autoincrement=False),
+    *keys(Integer, "calibration_id"),
     *needed(Text, "method", "state"),
     *needed(Integer, "plan_id", "ephemeris_id"),
     Column("created_at_us", BigInteger, nullable=False),
@@ -232,7 +232,7 @@ alignment = Table(
     "alignment",
     metadata,
     spacecraft_key(),
-    Column("alignment_id", Integer, primary_key=True, autoincrement=False),
+    *keys(Integer, "alignment_id"),
     *needed(BigInteger, "epoch_us", "number"),
     *needed(Text, "document", "digest"),
 )
@@ -299,7 +299,7 @@ replay = Table(
     "replay",
     metadata,
     spacecraft_key(),
-    Column("replay_id", Integer, primary_key=True, autoincrement=False),
+    *keys(Integer, "replay_id"),
     Column("document", Text, nullable=False),
     Column("job_id", Text),
     # what it wrote, whatever retention has taken since
@@ -401,7 +401,7 @@ for _dialect, _statements in (("postgresql", _POSTGRESQL_GUARD), ("sqlite", _SQL
 audit_head = Table(
     "audit_head",
     metadata,
-    Column("head_key", Integer, primary_key=True, autoincrement=False),
+    *keys(Integer, "head_key"),
     Column("number", BigInteger, nullable=False),
     Column("hash", Text, nullable=False),
 )
@@ -448,7 +448,7 @@ alarm_limits = Table(
     "alarm_limits",
     metadata,
     Column("spacecraft_id", Text, primary_key=True),
-    Column("version", Integer, primary_key=True, autoincrement=False),
+    *keys(Integer, "version"),
     Column("document", Text, nullable=False),
 )
 
@@ -537,7 +537,7 @@ LAYOUT = 9
 archive_layout = Table(
     "archive_layout",
     MetaData(),
-    Column("number", Integer, primary_key=True, autoincrement=False),
+    *keys(Integer, "number"),
     # of the service: two of them on one host have cookies of different names
     Column("service_id", Text, nullable=False),
 )

@@ -36,11 +36,6 @@ from service.core.estimation.filtering.wheel_momentum import momentum_covariance
 SHARE_SIGMA = 1.0
 
 
-def sensors_first(model: CarrierModel, states: int, settings: FilterSettings) -> int:
-    """Return the place of the first number of the other sensors in a vector of a size."""
-    return core_size(model, hidden_count(model, states)) - sensor_states(settings)
-
-
 def torque_states(model: CarrierModel, states: int, shares: int, sensors: int = 0) -> slice | None:
     """Return the places of the torque in a vector of a size, None where there are none.
 

@@ -64,8 +64,8 @@ ADVICE: dict[str, str] = {
 MOTION_ADVICE = tuple(
     code for code in ADVICE if code.startswith(("momentum_", "rates_", "polarimeter_")) and code != "rates_in_loop"
 )
-#: bits of `motion_advice`
-_MOTION_ADVICE = (
+#: by bit of `motion_advice`
+_ADVICE_OF_BIT = (
     "momentum_refused",
     "momentum_jump",
     "momentum_silent",
@@ -186,7 +186,7 @@ def _advice(model: RobustModel, knowledge: Knowledge, figures: _Figures, epoch_u
     if figures.motion_advice or model.contradicted or model.is_rate_in_loop:
         given |= dict.fromkeys(sorted(model.contradicted), True)
         given["rates_in_loop"] = model.is_rate_in_loop and knowledge.has_rate(epoch_us)
-        given |= {code: bool(figures.motion_advice >> place & 1) for place, code in enumerate(_MOTION_ADVICE)}
+        given |= {code: bool(figures.motion_advice >> place & 1) for place, code in enumerate(_ADVICE_OF_BIT)}
     return tuple([code for code, is_given in given.items() if is_given])
 
 

@@ -108,9 +108,9 @@ def is_same(after, before):
 
 
 def advice(watch, epoch_us):
-    """Return which of refused, jumped and silent is told."""
-    told = sensor_advice(watch, epoch_us)
-    return [name for name, bit in (("refused", REFUSED), ("jump", JUMPED), ("silent", SILENT)) if told & bit]
+    """Return the words of what is wrong with the wheels."""
+    advised = sensor_advice(watch, epoch_us)
+    return [name for name, bit in (("refused", REFUSED), ("jump", JUMPED), ("silent", SILENT)) if advised & bit]
 
 
 def noisy_records(count, seed=1):

@@ -10,12 +10,19 @@ from filter_rows import after_records, step
 from geometry_flight import MINUTE
 from stepped_robust import ALIGNED_US, PAYLOAD, Stepped
 
-from service.core.estimation.filtering.filter_model import ATTITUDE, RATE, FilterSettings, core_size, no_motion
+from service.core.estimation.filtering.filter_model import (
+    ATTITUDE,
+    RATE,
+    FilterSettings,
+    core_size,
+    hidden_count,
+    no_motion,
+)
 from service.core.estimation.filtering.filter_state import start
-from service.core.estimation.filtering.plant import filter_model
+from service.core.estimation.filtering.plant import filter_model, sensor_states
 from service.core.estimation.filtering.readings import frozen_readings, no_readings
 from service.core.estimation.filtering.sensor_records import model_of_step
-from service.core.estimation.filtering.state_changes import sensors_first, with_share
+from service.core.estimation.filtering.state_changes import with_share
 from service.pipeline.estimation.robust.method import carried_state
 from service.pipeline.estimation.robust.row_recorder import RowRecorder
 from service.pipeline.estimation.robust.sensor_records import due_records
@@ -238,7 +245,8 @@ def test_every_record_of_a_batch_is_used_once_in_its_order():
     for record in batch[1:5]:
         one_by_one, _ = sensed(at_once, one_by_one, at_once.knowledge._replace(momenta=(record,)))
     np.testing.assert_array_equal(state.filter.covariance, one_by_one.filter.covariance)
-    begin = sensors_first(at_once.model.filter, len(state.filter.mean), at_once.model.settings)
+    model, states = at_once.model.filter, len(state.filter.mean)
+    begin = core_size(model, hidden_count(model, states)) - sensor_states(at_once.model.settings)
     own = slice(begin, begin + 3)
     sigmas = [np.sqrt(each.filter.covariance.diagonal()[own]) for each in (state, first)]
     assert (sigmas[0] < 0.75 * sigmas[1]).all()
