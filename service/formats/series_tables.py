@@ -216,7 +216,7 @@ ATTITUDE: SeriesTable[AttitudeRow] = _table(
         *("common_db", "carriers_used", "excluded", "status"),
     ),
     without=(
-        *("received_at_us", "number", "rates_deg_s", "control_allowed_axes", "inhibitions", "residual_rms_db"),
+        *("received_at_us", "number", "rates_deg_s", "control_allowed_axes", "residual_rms_db"),
         *("calibration_id", "alignment_id", "advice"),
     ),
 )

@@ -13,6 +13,8 @@ from service.cli.command_group import end, require
 from service.cli.operation import connection
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from service.client.service_client import ServiceClient
 
 
@@ -40,11 +42,11 @@ def compare(
     from service.cli.operation.version_comparison import compared, document_of, draw_comparison, rows_of
 
     span = _span(client, spacecraft, (first, second), start, stop)
-    histories = (client.attitude_history(spacecraft, *span, method=method, version=one) for one in (first, second))
-    found = compared(*map(rows_of, (first, second), histories))
+    files = (_attitude_file(client, spacecraft, span, method, version) for version in (first, second))
+    found = compared(*map(rows_of, (first, second), files))
     named = f"{spacecraft}, {method}: {second} minus {first}, {span[0]} to {span[1]}"
     if not len(found.in_first):
-        counts = [len(found.first.names), len(found.second.names)]
+        counts = [len(side.epochs_us) for side in (found.first, found.second)]
         end(f"{named}: no row in both, {first} has {counts[0]} and {second} has {counts[1]}; look at `soo replays`", 1)
     document = {"spacecraft": spacecraft, "method": method, "start": span[0], "stop": span[1], **document_of(found)}
     if figure is not None:
@@ -53,6 +55,15 @@ def compare(
         except (OSError, ValueError) as error:
             end(f"the figure cannot be written: {error}", cause=error)
     typer.echo(json.dumps(document, allow_nan=False) if as_json else f"{named}\n{_table(document)}")
+
+
+def _attitude_file(
+    client: "ServiceClient", spacecraft: str, span: tuple[str, str], method: str, version: str
+) -> "Iterator[bytes]":
+    """Return the Parquet file of a version, whose columns cost a third of its rows as JSON."""
+    start, stop = span
+    chosen = {"format": "parquet", "start": start, "stop": stop, "method": method, "version": version}
+    return client.download(f"/spacecraft/{spacecraft}/archive/attitude:export", chosen)
 
 
 def _span(

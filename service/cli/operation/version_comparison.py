@@ -1,37 +1,37 @@
 """Comparison of two versions of attitude rows of one method: differences, sigmas, inhibitions, and their figure."""
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from tempfile import TemporaryFile
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pyarrow import parquet
 
-from service.records.epoch import format_epoch, parse_epoch
+from service.records.epoch import format_epoch
 from service.records.levels.attitude import FloatArray, IntArray
-
-if TYPE_CHECKING:
-    pass
-
 
 AXES = ("yaw", "roll", "pitch")
 
 
 @dataclass(frozen=True, slots=True)
 class VersionRows:
-    """Rows (T,) of one version in order of epoch; the k-th row of an epoch is named by k."""
+    """Rows (T,) of one version in order of epoch."""
 
     version: str
     epochs_us: IntArray
-    names: tuple[tuple[int, int], ...]
+    #: (T,) k of the k-th row of an epoch
+    places: IntArray
     #: (T, 3) yaw, roll, pitch, deg; NaN where a row has none
     angles_deg: FloatArray
     sigma_deg: FloatArray
     protection_deg: FloatArray
     is_allowed: NDArray[np.bool_]
-    inhibitions: tuple[tuple[str, ...], ...]
+    #: (T,) their codes, joined by semicolons
+    inhibitions: NDArray[np.object_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,35 +49,30 @@ class Comparison:
         return self.second.angles_deg[self.in_second] - self.first.angles_deg[self.in_first]
 
 
-def rows_of(version: str, answers: Iterable[Mapping[str, Any]]) -> VersionRows:
-    """Return the answers of ``GET attitude/history`` as arrays."""
-    seen: Counter[int] = Counter()
-    names: list[tuple[int, int]] = []
-    numbers: list[list[float | None]] = []
-    is_allowed: list[bool] = []
-    inhibitions: list[tuple[str, ...]] = []
-    for row in answers:
-        epoch_us = parse_epoch(row["epoch"])
-        names.append((epoch_us, seen[epoch_us]))
-        seen[epoch_us] += 1
-        angles = [row[f"{axis}_deg"] for axis in AXES]
-        numbers.append([*angles, *(row[what][axis] for what in ("sigma_deg", "protection_deg") for axis in AXES)])
-        is_allowed.append(row["control_allowed"])
-        inhibitions.append(tuple(row["inhibitions"]))
-    angles_deg, sigma_deg, protection_deg = np.split(np.array(numbers, dtype=float).reshape(-1, 9), 3, axis=1)
-    epochs_us = np.array([epoch_us for epoch_us, _ in names], dtype=np.int64)
-    allowed = np.array(is_allowed, dtype=np.bool_)
-    return VersionRows(
-        version, epochs_us, tuple(names), angles_deg, sigma_deg, protection_deg, allowed, tuple(inhibitions)
-    )
+def rows_of(version: str, export: Iterable[bytes]) -> VersionRows:
+    """Return the pieces of the Parquet file of ``GET archive/attitude:export`` as arrays."""
+    figures = [f"{axis}_{what}" for what in ("deg", "sigma_deg", "protection_deg") for axis in AXES]
+    with TemporaryFile() as file:
+        file.writelines(export)
+        table: Any = parquet.read_table(file, columns=["epoch", *figures, "control_allowed", "inhibitions"])
+    epochs_us = table["epoch"].to_numpy().astype("datetime64[us]").astype(np.int64)
+    places = np.arange(len(epochs_us)) - np.searchsorted(epochs_us, epochs_us)
+    values = np.array([table[name].to_numpy() for name in figures], dtype=float)
+    angles_deg, sigma_deg, protection_deg = np.split(values.T, 3, axis=1)
+    is_allowed, inhibitions = (table[name].to_numpy() for name in ("control_allowed", "inhibitions"))
+    return VersionRows(version, epochs_us, places, angles_deg, sigma_deg, protection_deg, is_allowed, inhibitions)
 
 
 def compared(first: VersionRows, second: VersionRows) -> Comparison:
     """Return two versions side by side."""
-    position_of = {name: position for position, name in enumerate(second.names)}
-    shared = [(k, position_of[name]) for k, name in enumerate(first.names) if name in position_of]
-    positions = np.array(shared, dtype=np.int64).reshape(-1, 2)
-    return Comparison(first, second, positions[:, 0], positions[:, 1])
+    sides = (first, second)
+    if not all(side.epochs_us.size for side in sides):
+        return Comparison(first, second, np.empty(0, np.int64), np.empty(0, np.int64))
+    begin_us = min(side.epochs_us[0] for side in sides)
+    most = 1 + max(side.places.max() for side in sides)
+    names = [(side.epochs_us - begin_us) * most + side.places for side in sides]
+    _, *positions = np.intersect1d(names[0], names[1], assume_unique=True, return_indices=True)
+    return Comparison(first, second, positions[0], positions[1])
 
 
 def document_of(found: Comparison) -> dict[str, Any]:
@@ -85,13 +80,13 @@ def document_of(found: Comparison) -> dict[str, Any]:
     shared = len(found.in_first)
     difference_deg = found.difference_deg
     sides = ((found.first, found.in_first), (found.second, found.in_second))
-    counts = [Counter(code for k in chosen for code in side.inhibitions[k]) for side, chosen in sides]
+    counts = [_codes(side.inhibitions[chosen]) for side, chosen in sides]
     return {
         "versions": [side.version for side, _ in sides],
         "rows": {
             "both": shared,
-            "first_alone": len(found.first.names) - shared,
-            "second_alone": len(found.second.names) - shared,
+            "first_alone": len(found.first.epochs_us) - shared,
+            "second_alone": len(found.second.epochs_us) - shared,
             "both_with_angles": int(np.isfinite(difference_deg).all(axis=1).sum()),
         },
         "difference_deg": {
@@ -103,6 +98,14 @@ def document_of(found: Comparison) -> dict[str, Any]:
         "control_allowed": [_share(side.is_allowed[chosen]) for side, chosen in sides],
         "inhibitions": {code: [count[code] for count in counts] for code in sorted(counts[0] | counts[1])},
     }
+
+
+def _codes(inhibitions: NDArray[np.object_]) -> Counter[str]:
+    """Return how many rows each code inhibits."""
+    counts: Counter[str] = Counter()
+    for codes, rows in Counter(inhibitions).items():
+        counts.update(dict.fromkeys(filter(None, codes.split(";")), rows))
+    return counts
 
 
 def _difference(difference_deg: FloatArray, epochs_us: IntArray) -> dict[str, Any]:

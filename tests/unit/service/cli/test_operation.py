@@ -1,7 +1,9 @@
 """Commands of an operation: profile, connection, ``calibrate``, ``compare`` and ``replays``."""
 
 import json
+import math
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,7 +20,11 @@ from service.cli.app import app
 from service.cli.operation import connection
 from service.cli.operation.connection import connected
 from service.cli.operation.profile import ProfileError, UserProfile, profile_path, read_profile, write_profile
+from service.formats.series_tables import ATTITUDE
+from service.formats.table_file import table_bytes
+from service.records.catalogue import Method
 from service.records.epoch import format_epoch
+from service.records.levels.attitude import NO_ANGLES, Axes, row_without_attitude
 
 URL = "http://127.0.0.1:9"
 
@@ -368,16 +374,14 @@ SPANS = {1: (0, 100), 2: (10, 200)}
 
 
 def row(minute, angles_deg, *, sigma_deg=0.02, inhibitions=()):
-    """Return a row as the service answers it."""
-    axes = ("yaw", "roll", "pitch")
-    return {
-        "epoch": format_epoch(START_US + 60_000_000 * minute),
-        **{f"{axis}_deg": angle for axis, angle in zip(axes, angles_deg, strict=True)},
-        "sigma_deg": dict.fromkeys(axes, sigma_deg),
-        "protection_deg": dict.fromkeys(axes),
-        "control_allowed": not inhibitions,
-        "inhibitions": list(inhibitions),
-    }
+    """Return a row of the archive."""
+    epoch_us = START_US + 60_000_000 * minute
+    return replace(
+        row_without_attitude(epoch_us, epoch_us, minute, Method.ROBUST, inhibitions),
+        attitude_deg=Axes(*angles_deg),
+        sigma_deg=Axes(*[sigma_deg] * 3),
+        control_allowed=not inhibitions,
+    )
 
 
 @pytest.fixture
@@ -385,15 +389,17 @@ def held(monkeypatch):
     """Rows by version that the service holds, and what it was asked."""
     rows, asked = {}, []
 
-    def history(spacecraft, start, stop, *, method, version):
-        asked.append((spacecraft, start, stop, method, version))
-        return [each for each in rows[version] if start <= each["epoch"] < stop]
+    def download(path, params):
+        start, stop = params["start"], params["stop"]
+        asked.append((path, start, stop, params["method"], params["version"]))
+        chosen = [each for each in rows[params["version"]] if start <= format_epoch(each.epoch_us) < stop]
+        return table_bytes(ATTITUDE, params["format"], [chosen])
 
     def replay(_, number):
         start, stop = (format_epoch(START_US + 60_000_000 * minute) for minute in SPANS[number])
         return {"start": start, "stop": stop}
 
-    client = SimpleNamespace(attitude_history=history, replay=replay)
+    client = SimpleNamespace(download=download, replay=replay)
     monkeypatch.setattr(connection, "connected", lambda *_: nullcontext(client))
     return SimpleNamespace(rows=rows, asked=asked)
 
@@ -408,7 +414,7 @@ def test_figures_are_those_of_the_rows_that_both_have(held, tmp_path):
         row(9, (0.0, 0.0, 0.0)),
         row(20, (0.1, 0.2, 0.3), sigma_deg=0.03),
         row(20, (1.0, 1.0, 1.0), sigma_deg=0.04, inhibitions=("late",)),
-        row(30, (None, None, None), sigma_deg=None, inhibitions=("no_fix",)),
+        row(30, NO_ANGLES, sigma_deg=math.nan, inhibitions=("no_fix",)),
         row(40, (0.0, 0.0, 0.0)),
     ]
     held.rows["replay-2"] = [

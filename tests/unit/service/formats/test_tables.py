@@ -348,7 +348,7 @@ def test_files_without_a_row_are_files(table: SeriesTable[Any]) -> None:
 def test_columns_of_attitude_are_those_of_the_contract() -> None:
     assert " ".join(column.name for column in ATTITUDE.columns) == (
         "epoch method yaw_deg roll_deg pitch_deg yaw_sigma_deg roll_sigma_deg pitch_sigma_deg control_allowed "
-        "downlink_fade downlink_fade_db common_db carriers_used excluded status "
+        "downlink_fade downlink_fade_db common_db carriers_used excluded status inhibitions "
         "yaw_protection_deg roll_protection_deg pitch_protection_deg lag_s "
         "yaw_nominal_protection_deg roll_nominal_protection_deg pitch_nominal_protection_deg "
         "yaw_waiting_loss_deg roll_waiting_loss_deg pitch_waiting_loss_deg "
