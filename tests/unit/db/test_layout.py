@@ -6,10 +6,12 @@ import sqlite3
 import subprocess
 import sys
 import time
+from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 
 import pytest
+from geometry_flight import FlightPayload
 from sqlalchemy import create_engine, inspect
 from sqlalchemy.exc import OperationalError
 from typer.testing import CliRunner
@@ -21,6 +23,7 @@ from db.storage import SqlStorage
 from db.tables import LAYOUT, metadata
 from service.cli.app import app
 from service.errors import StorageError
+from service.records.inputs import TelemetryRecord
 from service.records.storage import BackupError
 
 OTHERS = [0, LAYOUT + 1]
@@ -121,6 +124,31 @@ def test_tables_that_grow_have_no_second_key(tmp_path):
         texts = dict(connection.execute("SELECT name, sql FROM sqlite_master WHERE type = 'table'"))
     for name in ("measurement", "sequence_interval", "journal", "attitude", "torque"):
         assert texts[name].rstrip().endswith("WITHOUT ROWID")
+
+
+def test_a_record_costs_the_same_after_many(tmp_path):
+    # instructions of SQLite's own machine: a plan that reads the whole journal of a spacecraft shows in them
+    counts = Counter()
+    with closing(SqlStorage(f"sqlite:///{tmp_path / 'soo.db'}")) as storage:
+        storage.prepare()
+        craft = FlightPayload.make(4).spacecraft()
+        storage.catalogue.add_spacecraft(craft)
+        engines = storage._database.engines
+
+        def cost(length):
+            storage.archive.append_inputs(craft.id, [TelemetryRecord(length + k, "hold") for k in range(length)])
+            for name, engine in (("store", engines.write), ("read", engines.read)):
+                with engine.connect() as connection:
+                    connection.connection.set_progress_handler(lambda name=name: counts.update([name]), 10)
+            counts.clear()
+            storage.archive.append_inputs(craft.id, [TelemetryRecord(length - k, "hold") for k in (1, 2)])
+            assert len(storage.archive.slow_inputs_before(craft.id, 1 << 62, ("spacecraft", "alignment"))) == 1
+            return dict(counts)
+
+        few, many = cost(100), cost(10_000)
+    print(f"tens of instructions after 100 records {few}, after 10 000 {many}")
+    assert few.keys() == many.keys() == {"store", "read"}
+    assert all(many[name] < 2 * few[name] for name in few)
 
 
 @pytest.mark.parametrize("layout", OTHERS)
