@@ -69,7 +69,7 @@ def _take_paper_rows() -> None:
     epochs_us, power_dbm = np.full(1, _MINUTE_US, dtype=np.int64), np.full((1, _CARRIERS), -50.0)
     block = paper_row.PaperBlock(epochs_us, np.zeros(1), power_dbm, is_late=False)
     levels, results = np.zeros((1, _CARRIERS), paper_row.LEVEL), np.zeros(1, paper_row.RESULT)
-    TAKE_ROWS(model, state, paper_row.room(state, 1), commanded_arrays(CommandedMotion(0)), block, levels, results)
+    TAKE_ROWS(model, state, paper_row.room(state, 1), commanded_arrays(CommandedMotion(0), 0), block, levels, results)
 
 
 def _compute_command(release: Release) -> None:

@@ -1,9 +1,11 @@
 """Motion that is known beside powers: corrections, released torques, disturbance torque, motion sensors."""
 
 import math
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from operator import attrgetter
 
 import numpy as np
 
@@ -60,12 +62,16 @@ class _Motion:
     counter: int | None = None
 
 
+_start_us = attrgetter("start_us")
+
+
 @dataclass(frozen=True)
 class CommandedMotion:
     """Commanded changes from an alignment on, and the part that is still to be applied late."""
 
     #: changes before this epoch are part of the alignment
     since_us: int
+    #: in order of their beginnings: of many that lie ahead a row looks at none
     motions: tuple[_Motion, ...] = ()
     late_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
     late_rate_deg_h: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -174,9 +180,19 @@ def _with(
         change_deg, rate_deg_h, lag_deg = _between(motion, commanded.since_us, newest_us)
         late_deg = late_deg + change_deg + lag_deg
         late_rate = late_rate + rate_deg_h
-    motions = (*commanded.motions, *reported) if are_kept else commanded.motions
-    kept = tuple(motion for motion in motions if motion.stop_us > newest_us)
+    motions = commanded.motions
+    for motion in reported if are_kept else ():
+        place = bisect_right(motions, motion.start_us, key=_start_us)
+        motions = (*motions[:place], motion, *motions[place:])
+    kept = _unfinished(motions, newest_us)
     return replace(commanded, motions=kept, late_deg=_triple(late_deg), late_rate_deg_h=_triple(late_rate))
+
+
+def _unfinished(motions: tuple[_Motion, ...], newest_us: int) -> tuple[_Motion, ...]:
+    """Return the motions that go on after an epoch."""
+    begun = bisect_right(motions, newest_us, key=_start_us)
+    kept = tuple(motion for motion in motions[:begun] if motion.stop_us > newest_us)
+    return motions if len(kept) == begun else kept + motions[begun:]
 
 
 def consume(commanded: CommandedMotion, from_us: int, to_us: int) -> tuple[KnownMotion, CommandedMotion]:
@@ -191,8 +207,7 @@ def consume(commanded: CommandedMotion, from_us: int, to_us: int) -> tuple[Known
     late = late + half_h * rate
     for motion in commanded.motions:
         if motion.start_us >= to_us:
-            # most commands lie ahead
-            continue
+            break
         change_deg, rate_deg_h, lag_deg = _between(motion, max(from_us, commanded.since_us), to_us)
         correction = correction + change_deg + lag_deg - half_h * rate_deg_h
         rate = rate + rate_deg_h
@@ -201,13 +216,14 @@ def consume(commanded: CommandedMotion, from_us: int, to_us: int) -> tuple[Known
 
 def without_past(commanded: CommandedMotion, newest_us: int) -> CommandedMotion:
     """Return the changes after rows up to an epoch have consumed theirs and all late ones."""
-    return CommandedMotion(commanded.since_us, tuple(each for each in commanded.motions if each.stop_us > newest_us))
+    return CommandedMotion(commanded.since_us, _unfinished(commanded.motions, newest_us))
 
 
-def commanded_arrays(commanded: CommandedMotion) -> Commanded:
-    """Return the changes as compiled functions take them."""
-    motions = np.zeros(len(commanded.motions), MOTION)
-    for k, each in enumerate(commanded.motions):
+def commanded_arrays(commanded: CommandedMotion, until_us: int) -> Commanded:
+    """Return the changes that begin before an epoch as compiled functions take them."""
+    begun = commanded.motions[: bisect_left(commanded.motions, until_us, key=_start_us)]
+    motions = np.zeros(len(begun), MOTION)
+    for k, each in enumerate(begun):
         motions[k] = each.start_us, each.stop_us, each.change_deg, each.rate_change_deg_h
     return Commanded(motions, np.array((commanded.late_deg, commanded.late_rate_deg_h)), commanded.since_us)
 

@@ -113,7 +113,8 @@ def take_rows(
     levels, results = np.empty((count, carriers), LEVEL), np.zeros(count, RESULT)
     after = state.arrays if is_late else room(state.arrays, count)
     block = PaperBlock(*_times(measurements, knowledge), power_dbm, is_late)
-    TAKE_ROWS(model.arrays, state.arrays, after, commanded_arrays(state.commanded), block, levels, results)
+    commanded = commanded_arrays(state.commanded, int(block.epochs_us.max()))
+    TAKE_ROWS(model.arrays, state.arrays, after, commanded, block, levels, results)
     by_name = (results[name].tolist() for name in _Figures._fields)
     rows = []
     for number, (measurement, figures) in enumerate(

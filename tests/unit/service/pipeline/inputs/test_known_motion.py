@@ -13,6 +13,7 @@ from service.pipeline.inputs.known_motion import (
     DEG_H2_N_M,
     CommandedMotion,
     angle_inertia_kg_m2,
+    commanded_arrays,
     consume,
     heard,
     momentum_model,
@@ -70,6 +71,25 @@ def test_what_was_commanded_before_the_alignment_belongs_to_it():
     known, left = consume(left, 6 * MINUTE, 20 * MINUTE)
     np.testing.assert_allclose(known.correction_deg, [0.0, 0.2, 0.0], atol=EXACT)
     assert left.motions == ()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_corrections_may_be_told_in_any_order_and_a_row_is_given_none_that_lies_ahead(seed):
+    rng = np.random.default_rng(seed)
+    starts = np.sort(rng.integers(0, 500, 300))
+    corrections = [Correction(s * MINUTE, (s + 1 + k % 40) * MINUTE, Axes(1.0, k, -k)) for k, s in enumerate(starts)]
+    in_order, shuffled = CommandedMotion(0), CommandedMotion(0)
+    for correction in corrections:
+        in_order = heard(in_order, correction, None, 0)
+    for k in rng.permutation(len(corrections)):
+        shuffled = heard(shuffled, corrections[k], None, 0)
+    epochs_us = [0, *(np.sort(rng.choice(520, 60, replace=False)) + 20) * MINUTE]
+    for told in (in_order, shuffled):
+        given = commanded_arrays(told, 100 * MINUTE).motions["start_us"]
+        np.testing.assert_array_equal(given, starts[starts < 100] * MINUTE)
+    np.testing.assert_allclose(walked(shuffled, epochs_us)[0], walked(in_order, epochs_us)[0], rtol=EXACT, atol=1e-9)
+    total_deg = sum(np.array(each.change_deg) for each in corrections)
+    np.testing.assert_allclose(walked(in_order, [*epochs_us, 600 * MINUTE])[0][-1], total_deg, rtol=EXACT, atol=1e-9)
 
 
 @pytest.mark.parametrize("known_at_s", [95, 110, 200, 900])

@@ -259,7 +259,7 @@ def test_what_was_commanded_is_that_of_the_robust_method(bench):
     for change in changes:
         commanded = heard(commanded, change, record, at_us)
     for to_us in (start_us + 4 * minute, start_us + 5 * minute + 1, start_us + 6 * minute, start_us + 20 * minute):
-        found = known_motion(commanded_arrays(commanded), at_us, to_us)
+        found = known_motion(commanded_arrays(commanded, to_us), at_us, to_us)
         known, commanded = consume(commanded, at_us, to_us)
         expected = known.correction_deg, known.late_correction_deg, known.rate_change_deg_h
         np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-15)
