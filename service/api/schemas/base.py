@@ -179,14 +179,16 @@ class WindowAnswer(Answer):
 Row = TypeVar("Row")
 
 
-class RowList(Answer, Generic[Row]):
+# pydantic makes a class for each kind of row and looks for its source in every frame of the stack, where none is: 20 ms
+# each. A list or page whose own members have docstrings sets `use_attribute_docstrings=True` again
+class RowList(Answer, Generic[Row], use_attribute_docstrings=False):
     """All rows of one kind."""
 
     rows: list[Row]
     next: str | None = None
 
 
-class RowPage(Answer, Generic[Row]):
+class RowPage(Answer, Generic[Row], use_attribute_docstrings=False):
     """One page of rows that stand in a range."""
 
     range: WindowAnswer
