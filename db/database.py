@@ -17,7 +17,7 @@ import numpy as np
 from sqlalchemy import ColumnElement, Connection, Row, Select, Table, and_, bindparam, func, or_, select, true, update
 
 from db.connection.engines import open_engines, sqlite_path, translated_faults
-from db.connection.lease import FileLeases, ServerLeases, SqlLeases
+from db.connection.lease import FileLeases, SqlLeases
 from db.connection.writer import Writer, insert_new
 from db.encoding.record_codec import encode, kind_of
 from db.encoding.segments import SegmentCache
@@ -75,7 +75,12 @@ class Database:
     def _opened_leases(self, url: str, limit_s: float) -> SqlLeases:
         """Return the leases of the archive; nothing is connected yet."""
         path = sqlite_path(url)
-        return ServerLeases(url, limit_s, self.read) if path is None else FileLeases(path, self._writer)
+        if path is not None:
+            return FileLeases(path, self._writer)
+        # the driver, as in `open_engines`
+        from db.connection.server_leases import ServerLeases
+
+        return ServerLeases(url, limit_s, self.read)
 
     @contextmanager
     def read(self) -> Iterator[Connection]:

@@ -10,7 +10,7 @@ from sqlalchemy import ColumnElement, Connection, Engine, Table, func, select, t
 from sqlalchemy.exc import SQLAlchemyError
 
 from db.connection.engines import COMPANIONS, open_engines, reading_engine, sqlite_path, translated_faults
-from db.connection.lease import leaders_of
+from db.connection.server_leases import leaders_of
 from db.encoding.record_codec import decode, decode_all
 from db.maintenance.backup import Report as BackupReport
 from db.maintenance.backup import Restored, create_backup, restore_backup, verify_backup

@@ -1,8 +1,11 @@
-"""Composition root: settings become adapters, adapters become an application. The only module that names db."""
+"""Composition root: settings become adapters, adapters become an application.
+
+The only module that names db, beside `job_process`, the same for the process that does the jobs.
+"""
 
 import asyncio
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,27 +18,26 @@ from service.api.access.auth import origins_of
 from service.api.app import create_app
 from service.api.context import ApiContext, Limits, MonitoringSettings
 from service.api.monitoring.metrics import raised_descriptor_limit
+from service.composition.job_process import JobSettings, clock_of, works_in_process
 from service.composition.settings import Settings, entries_in_force
 from service.console.pages import with_console
 from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.checkpoints import fingerprint
-from service.pipeline.config import CalibrationConfig, ChainConfig
 from service.pipeline.first_rows import compile_rows
 from service.ports.storage import Clock, Storage, Term
 from service.records.operations.access import DONE, AccessKey, AuditEvent, Role, StoredKey, digest_of, new_key
 from service.records.operations.alarms import Severity
 from service.records.operations.work import JobKind
-from service.records.storage import RetentionConfig, SealingConfig
 from service.runtime.alarms.alarm_service import AlarmService
 from service.runtime.alarms.notifications import Mail, MailRoute, NoticeChannel, Webhook
-from service.runtime.clock import DataClock, SystemClock
+from service.runtime.clock import SystemClock
 from service.runtime.control.release_context import ReleasePublisher
 from service.runtime.control.release_service import ReleaseService
 from service.runtime.jobs.archive_maintenance import MaintenanceDue, MaintenanceWork
-from service.runtime.jobs.calibration import Aligner, CalibrationWork, Calibrator
-from service.runtime.jobs.job_runner import JobRunner, JobWorker, Standing, Work
-from service.runtime.jobs.replay import Replayer, replay_work
-from service.runtime.jobs.smoothing import SmoothingConfig, SmoothingDue, SmoothingWork
+from service.runtime.jobs.calibration import Aligner, Calibrator
+from service.runtime.jobs.job_runner import JobRunner, JobWorker, Standing
+from service.runtime.jobs.replay import Replayer
+from service.runtime.jobs.smoothing import SmoothingDue
 from service.runtime.live.leadership import Leading
 from service.runtime.live.live_feed import LiveFeed
 from service.runtime.live.supervisor import StepFailures, Supervisor
@@ -71,16 +73,6 @@ def watch_file(settings: Settings) -> "FileWatch | None":
 def build_clock(settings: Settings, storage: Storage) -> Clock:
     """Return the clock of the settings."""
     return clock_of(settings.clock, storage)
-
-
-def clock_of(kind: str, storage: Storage) -> Clock:
-    """Return the clock of a kind."""
-    if kind == "system":
-        return SystemClock()
-    return DataClock(
-        lambda spacecraft_id: storage.catalogue.spacecraft(spacecraft_id).simulated,
-        lambda spacecraft_id: storage.archive.head(spacecraft_id).newest_epoch_us,
-    )
 
 
 def open_storage(settings: Settings) -> Storage:
@@ -240,39 +232,9 @@ def build_release_service(
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _JobSettings:
-    """Settings of jobs, without secrets: they go to another process."""
-
-    database_url: str
-    database_timeout_s: float
-    clock: str
-    chain: ChainConfig
-    calibration: CalibrationConfig
-    smoothing: SmoothingConfig
-    sealing: SealingConfig
-    retention: RetentionConfig
-
-    @classmethod
-    def of(cls, settings: Settings) -> "_JobSettings":
-        """Return those of a service."""
-        return cls(**_chosen(settings, cls) | {"chain": settings.chain_config()})
-
-
-def _works_in_process(settings: _JobSettings) -> tuple[Storage, dict[str, Work]]:
-    storage = SqlStorage(settings.database_url, settings.database_timeout_s)
-    clock = clock_of(settings.clock, storage)
-    works: dict[str, Work] = {
-        JobKind.CALIBRATION: CalibrationWork(storage, settings.calibration),
-        JobKind.SMOOTHING: SmoothingWork(storage, settings.chain, settings.smoothing),
-        JobKind.SEALING: MaintenanceWork(storage, clock, settings.sealing, settings.retention),
-        JobKind.REPLAY: partial(replay_work, storage, settings.chain),
-    }
-    return storage, works
-
-
 def _job_runner(settings: Settings, storage: Storage, clock: Clock, leading: Leading) -> tuple[JobRunner, JobWorker]:
-    make = partial(_works_in_process, _JobSettings.of(settings))
+    of_jobs = JobSettings(**_chosen(settings, JobSettings) | {"chain": settings.chain_config()})
+    make = partial(works_in_process, of_jobs)
     worker = JobWorker(make, storage.leases.lend, settings.workers.job_timeout_s)
     smoothing = SmoothingDue(storage, settings.smoothing, leading.term)
     maintenance = MaintenanceDue(storage, settings.sealing, leading.term)

@@ -187,20 +187,21 @@ def setting_entries(settings: Settings) -> Iterator[SettingEntry]:
 def entries_in_force(settings: Settings) -> tuple[SettingEntry, ...]:
     """Return every setting with where its value was read; one that neither variable nor file gives is an option's."""
     read = {entry.name: entry.value for entry in setting_entries(Settings.model_validate({}))}
+    variables = {variable.upper() for variable, value in os.environ.items() if value}
+    folder = os.environ.get("SOO_SECRETS_DIR")
+    files = {path.name.upper() for path in Path(folder).iterdir()} if folder else set()
     return tuple(
-        entry._replace(source=_source(entry.name) if entry.value == read[entry.name] else "option")
+        entry._replace(source=_source(entry.name, variables, files) if entry.value == read[entry.name] else "option")
         for entry in setting_entries(settings)
     )
 
 
-def _source(name: str) -> SettingSource:
+def _source(name: str, variables: set[str], files: set[str]) -> SettingSource:
     """Return where a setting is read when no option gives it."""
     # a whole stage may stand in one variable, as JSON
     names = {name, name.partition("__")[0]}
-    if any(value and variable.upper() in names for variable, value in os.environ.items()):
+    if names & variables:
         return "environment"
-    folder = os.environ.get("SOO_SECRETS_DIR")
-    files = {path.name.upper() for path in Path(folder).iterdir()} if folder else set()
     return "file" if names & files else "default"
 
 

@@ -11,7 +11,7 @@ from psycopg import Connection
 from sqlalchemy import create_engine, event, select
 from stored_records import ALARM, COMMAND
 
-from db.connection.engines import BoundedConnection, NoAnswerError
+from db.connection.server_engines import BoundedConnection, NoAnswerError
 from db.connection.writer import ATTEMPTS
 from db.encoding.segments import DAY_US
 from db.measurements import closed_days

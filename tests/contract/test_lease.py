@@ -11,7 +11,7 @@ import pytest
 from sqlalchemy import text
 
 from db.connection import lease
-from db.connection.lease import require_own_session
+from db.connection.server_leases import require_own_session
 from db.maintenance.doctor import diagnose
 from db.storage import SqlStorage
 from db.tables import LEASE_US

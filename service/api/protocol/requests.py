@@ -5,8 +5,9 @@ import json
 import logging
 import re
 import secrets
+from collections.abc import Callable, Iterator, Mapping
 from difflib import get_close_matches
-from functools import partial
+from functools import cached_property, partial
 from http import HTTPStatus
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
@@ -148,8 +149,32 @@ async def raw_body(request: Request) -> bytes:
     return body
 
 
-def accepts(model: type[BaseModel], *, is_csv: bool = False, is_required: bool = True) -> dict[str, Any]:
+class _LateDescription(Mapping[str, Any]):
+    """Part of the OpenAPI document that is made when the document is: those of all bodies take 40 ms of a start."""
+
+    def __init__(self, make: Callable[[], dict[str, Any]]) -> None:
+        self._make = make
+
+    @cached_property
+    def _made(self) -> dict[str, Any]:
+        return self._make()
+
+    def __getitem__(self, name: str) -> Any:
+        return self._made[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._made)
+
+    def __len__(self) -> int:
+        return len(self._made)
+
+
+def accepts(model: type[BaseModel], *, is_csv: bool = False, is_required: bool = True) -> Any:
     """Return the OpenAPI description of a body; ``openapi.py`` lifts the definitions out of it."""
+    return _LateDescription(partial(_description, model, is_csv=is_csv, is_required=is_required))
+
+
+def _description(model: type[BaseModel], *, is_csv: bool, is_required: bool) -> dict[str, Any]:
     schema = model.model_json_schema(ref_template=_REF_TEMPLATE)
     content: dict[str, Any] = {"application/json": {"schema": schema}}
     if is_csv:
@@ -179,7 +204,8 @@ class BodyReader:
 
     def describe(self, route: APIRoute) -> None:
         """State the body in the OpenAPI description of a route, unless the route states it itself."""
-        route.openapi_extra = route.openapi_extra or accepts(self._model, is_required=self._is_required)
+        if route.openapi_extra is None:
+            route.openapi_extra = accepts(self._model, is_required=self._is_required)
 
 
 def describe_bodies(router: APIRouter) -> None:

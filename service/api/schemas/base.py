@@ -1,8 +1,13 @@
 """Base of all documents: strictness, epochs, angles by name, members derived from the fields of a record."""
 
+import ast
+import inspect
+import linecache
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+import sys
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from functools import cache
+from itertools import pairwise
 from operator import attrgetter
 from types import MappingProxyType
 from typing import Annotated, Any, Generic, Self, TypeVar
@@ -32,6 +37,8 @@ from service.records.record_fields import AXIS_NAMES, FieldKind, RecordField, re
 
 #: any dataclass
 Record = TypeVar("Record", bound=Any)
+#: any class of members
+Described = TypeVar("Described", bound=type[Any])
 _EPOCH_SCHEMA = {"type": "string", "format": "date-time", "examples": ["2026-11-21T03:02:32.011250Z"]}
 
 #: rows of a batch beyond which decoding stops, whatever the settings say
@@ -53,12 +60,47 @@ LongitudeDeg = Annotated[float, Field(ge=-180, le=360)]
 PlanNumber = Annotated[int, Field(ge=1, le=2**31 - 1)]
 
 
-class Document(BaseModel):
+@cache
+def _docstrings(module: str) -> Mapping[str, Mapping[str, str]]:
+    """Return the docstrings behind the members of the classes of a module, by class and member."""
+    names = vars(sys.modules[module])
+    source = "".join(linecache.getlines(names.get("__file__") or "", names))
+    return {each.name: dict(_described(each)) for each in ast.parse(source).body if isinstance(each, ast.ClassDef)}
+
+
+def _described(node: ast.ClassDef) -> Iterator[tuple[str, str]]:
+    for member, behind in pairwise(node.body):
+        match member, behind:
+            case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
+                yield name, inspect.cleandoc(text)
+            case _:
+                pass
+
+
+def with_descriptions(document: Described) -> Described:
+    """Return a class whose members are described by the docstrings behind them.
+
+    pydantic's `use_attribute_docstrings` does the same, but looks for the source of each class in the frames of the
+    stack, which was a quarter of a start of the service.
+    """
+    for name, text in _docstrings(document.__module__).get(document.__qualname__, {}).items():
+        member = document.__annotations__[name]
+        document.__annotations__[name] = Annotated[member, Field(description=text)]
+    return document
+
+
+class _Described(BaseModel):
+    """Model with descriptions of its members."""
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        with_descriptions(cls)
+
+
+class Document(_Described):
     """Base of request documents."""
 
-    model_config = ConfigDict(
-        extra="forbid", strict=True, allow_inf_nan=False, frozen=True, use_attribute_docstrings=True
-    )
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
 
 
 def _record_names(name: str) -> AliasChoices:
@@ -72,12 +114,11 @@ def _record_names(name: str) -> AliasChoices:
     return AliasChoices(name, f"{name}_us", f"{name.removesuffix('_at')}_us", f"is_{name}", *at_axis)
 
 
-class Answer(BaseModel):
+class Answer(_Described):
     """Base of answers; made from a record whose fields have the same names, or those of `_record_names`."""
 
     model_config = ConfigDict(
         frozen=True,
-        use_attribute_docstrings=True,
         from_attributes=True,
         alias_generator=AliasGenerator(validation_alias=_record_names),
     )
@@ -273,14 +314,7 @@ class RecordMembers:
 
     def model(self, name: str) -> Any:
         """Return a base class of answers with these members."""
-        # nothing here has a docstring, and the search of the source for one takes 50 ms a model
-        no_search = {"use_attribute_docstrings": False}
-        model: type[BaseModel] = create_model(
-            name, __base__=Answer, __module__=__name__, __cls_kwargs__=no_search, **self._members
-        )
-        # the answers made of it have docstrings
-        model.model_config["use_attribute_docstrings"] = True
-        return model
+        return create_model(name, __base__=Answer, __module__=__name__, **self._members)
 
     def values(self, record: Any) -> dict[str, Any]:
         """Return the members of a record."""

@@ -21,6 +21,7 @@ from service.api.schemas.base import (
     RowList,
     RowPage,
     members_of,
+    with_descriptions,
 )
 from service.formats.numbers import shortest_float32
 from service.records.catalogue import Method
@@ -165,6 +166,7 @@ MAX_SEQ = 2**53 - 1
 _PLAIN_FIELDS = frozenset({"epoch", "power_dbm", "flags"})
 
 
+@with_descriptions
 class MeasurementDocument(TypedDict, total=False):
     """One row: one power for each carrier of the plan, in its order."""
 
