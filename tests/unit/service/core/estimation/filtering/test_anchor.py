@@ -129,6 +129,7 @@ def test_noise_of_rows_that_is_declared_raises_the_level(model, calm):
     assert (level_deg(noisy)[1:] > 1.5 * level_deg(calm[0])[1:]).all()
 
 
+@pytest.mark.slow
 def test_each_carrier_has_its_likeliest_hypothesis_and_since_when(model):
     assert np.isnan(begun(model).carriers["probability"]).all()
     dry, _ = run(model, 30)
@@ -143,6 +144,7 @@ def test_each_carrier_has_its_likeliest_hypothesis_and_since_when(model):
     assert after["hypothesis_since_us"][0] == before["hypothesis_since_us"][0] == 0
 
 
+@pytest.mark.slow
 def test_reports_of_the_weather_make_wet_likelier_or_less_likely(model):
     loss_db = np.where(np.arange(12) == 5, 0.3, 0.0)
 
