@@ -40,14 +40,16 @@ if importlib.util.find_spec("hypothesis") is not None:  # the environment of tes
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark what repeats evidence: further seeds, and a second database, theme or language.
 
-    The second seed is slow; others, and what is not the first of its kind, are nightly. Ports keep both databases.
+    The second seed is slow, of a slow test nightly; others, and what is not the first of its kind, are nightly. Ports
+    keep both databases.
     """
     for item in items:
         if (call := getattr(item, "callspec", None)) is None:
             continue
         texts = {value for value in call.params.values() if isinstance(value, str)}
         number = call.indices.get("seed", 0)
-        if number > 1 or texts & {"light", "ru"} or ("postgresql" in texts and not item.path.stem.endswith("_port")):
+        repeats = number > (item.get_closest_marker("slow") is None)
+        if repeats or texts & {"light", "ru"} or ("postgresql" in texts and not item.path.stem.endswith("_port")):
             item.add_marker("nightly")
         elif number == 1 or "postgresql" in texts:
             item.add_marker("slow")

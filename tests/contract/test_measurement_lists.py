@@ -82,6 +82,7 @@ def test_an_unknown_spacecraft_is_told_before_the_first_block(storage, make):
     assert caught.value.code == "spacecraft.unknown"
 
 
+@pytest.mark.slow
 def test_memory_of_rows_after_an_epoch_does_not_grow_with_their_number(setting, monkeypatch):
     monkeypatch.setattr("db.measurements.archive.RECORD_PAGE_ROWS", 64)
     setting.append(range(10, 9_010))

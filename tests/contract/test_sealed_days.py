@@ -358,6 +358,7 @@ def counts(setting):
     return [int(bins.all_intervals().counts[:, 0].sum()) for bins in (levels, angles, powers)]
 
 
+@pytest.mark.slow
 def test_samples_are_those_of_a_moment(setting, make):
     epochs_us = [k * READ_STEP_US + 7 for k in range(130)]
     setting.append(epochs_us, -50.0)

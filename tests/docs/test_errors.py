@@ -7,6 +7,7 @@ from http import HTTPStatus
 from pathlib import Path
 
 import pytest
+from syntax_trees import tree_of
 
 from service.api.problems.next_steps import NEXT_STEPS
 from service.errors import (
@@ -50,7 +51,7 @@ def code_files() -> Iterator[Path]:
 
 def codes_of(path: Path) -> set[str]:
     """Return the texts of a file that have the form of a code."""
-    texts = {node.value for node in ast.walk(ast.parse(path.read_text())) if is_text(node)}
+    texts = {node.value for node in ast.walk(tree_of(path)) if is_text(node)}
     return {text for text in texts if _CODE.fullmatch(text) and not text.startswith(("soo.", "service."))}
 
 
@@ -93,7 +94,7 @@ def raised(path: Path) -> Iterator[tuple[str, str]]:
         StorageError: 503,
     }
     kinds = {kind.__name__: str(status) for kind, status in status_of.items()}
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in ast.walk(tree_of(path)):
         if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Name)):
             continue
         match node.func.id, node.args:

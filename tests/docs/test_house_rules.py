@@ -9,6 +9,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from syntax_trees import tree_of
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = ("service", "db", "analyzer_sim", "bench")
@@ -50,12 +51,6 @@ def test_folders_stay_small() -> None:
                 names_by_folder["/".join(parts[:depth])].add(parts[depth])
     counts = {folder: len(names) for folder, names in names_by_folder.items()}
     assert {folder: count for folder, count in counts.items() if count > FOLDER_NAMES} == {}
-
-
-@cache
-def tree_of(path: Path) -> ast.Module:
-    """Return the syntax tree of a file."""
-    return ast.parse(path.read_text())
 
 
 def functions(path: Path) -> Iterator[tuple[str, int]]:

@@ -10,6 +10,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from syntax_trees import tree_of
+
 ROOT = Path(__file__).resolve().parents[2]
 #: private words of earlier versions; the glossary has the words that replaced them
 RETIRED = {
@@ -43,12 +45,6 @@ def tracked() -> tuple[str, ...]:
 def modules(*folders: str) -> list[str]:
     """Return the Python files of some folders."""
     return [name for name in tracked() if name.endswith(".py") and name.startswith(tuple(f"{f}/" for f in folders))]
-
-
-@cache
-def tree_of(name: str) -> ast.Module:
-    """Return the syntax tree of a file."""
-    return ast.parse((ROOT / name).read_text())
 
 
 def words_of(identifier: str) -> set[str]:
@@ -89,7 +85,7 @@ def test_no_identifier_contains_a_retired_word() -> None:
     kept = KEPT | names_of_the_interface()
     found = defaultdict(set)
     for name in modules(*FOLDERS):
-        for identifier in {Path(name).stem, *defined_in(tree_of(name))} - kept:
+        for identifier in {Path(name).stem, *defined_in(tree_of(ROOT / name))} - kept:
             for word in words_of(identifier) & RETIRED:
                 found[word].add(f"{identifier} in {name}")
     assert found == {}
@@ -98,7 +94,7 @@ def test_no_identifier_contains_a_retired_word() -> None:
 def test_no_public_class_name_has_two_meanings() -> None:
     found = defaultdict(set)
     for name in modules("service", "db"):
-        for node in ast.walk(tree_of(name)):
+        for node in ast.walk(tree_of(ROOT / name)):
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 found[node.name].add(name)
     assert len(found) > 500, "the search for classes finds too few"
@@ -130,7 +126,7 @@ def test_code_is_free_of_retired_words() -> None:
 def test_docstrings_name_the_thing_first() -> None:
     found = defaultdict(list)
     for name in modules(*FOLDERS):
-        for node in ast.walk(tree_of(name)):
+        for node in ast.walk(tree_of(ROOT / name)):
             if not isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
                 continue
             if text := ast.get_docstring(node):

@@ -397,6 +397,7 @@ def test_bias_of_five_times_its_size_widens_and_then_refuses():
 TURNED_ROUND = [word for axis in ("yaw", "roll", "pitch") for word in ("--response", f"{axis}=-1")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(1, 4))
 def test_reversed_torques_are_found_before_they_carry_roll_or_pitch_far(monkeypatch, seed):
     monkeypatch.setattr(run, "PlantProcess", lambda *arguments: PlantProcess(*arguments[:4], TURNED_ROUND))

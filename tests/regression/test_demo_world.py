@@ -103,7 +103,7 @@ def test_the_robust_method_meets_its_bounds_in_the_demonstrations_world(tmp_path
 SEED = 2
 SHORT_DAYS = 0.25
 #: one at every run, both in continuous integration
-ONE_AND_OTHERS = ("unknown_residual_daily", pytest.param("unknown_residual_constant", marks=pytest.mark.slow))
+ONE_AND_OTHERS = ("unknown_residual_daily", pytest.param("unknown_residual_constant", marks=pytest.mark.nightly))
 TURN_DEG_S = np.degrees(7.292115e-5)
 
 
@@ -146,6 +146,7 @@ def flown(name, seed, days, sensing=Sensing.AUTOMATIC):
     return result, merit
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ONE_AND_OTHERS)
 def test_control_goes_on_and_learns_the_torque(name):
     result, merit = flown(name, SEED, SHORT_DAYS)
@@ -173,7 +174,7 @@ def test_where_the_catalogue_says_that_there_is_none_it_is_found_and_roll_and_pi
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", UNKNOWN_TORQUE_SCENARIOS)
+@pytest.mark.parametrize("name", ONE_AND_OTHERS)
 def test_trivial_answers_miss(name, monkeypatch):
     """Nothing, and corrections that are computed from corrections alone."""
     _, nothing = flown(name, SEED, SHORT_DAYS, Sensing.OFF)

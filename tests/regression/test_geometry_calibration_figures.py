@@ -23,8 +23,8 @@ SEEDS = (1, 2, 3)
 ATTITUDES = np.random.default_rng(1).uniform(-0.3, 0.3, (300, 3))
 
 
-#: what every run judges, and what continuous integration judges too
-KINDS = ("nominal", *(pytest.param(name, marks=pytest.mark.slow) for name in ("white", "flicker")))
+#: what continuous integration judges, and what the night judges too
+KINDS = ("nominal", "flicker", pytest.param("white", marks=pytest.mark.nightly))
 
 
 @cache
@@ -44,6 +44,7 @@ SLOPES_DB_PER_DEG = {"white": (0.010, 0.05, 0.042), "nominal": (0.025, 0.10, 0.0
 SIGMA_DB = {"white": 0.02, "nominal": 0.14, "flicker": 0.26}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", KINDS)
 def test_levels_are_predicted_days_later(name):
     """Beams on the orbit, dish law and solar day together; what all carriers share is the chain's."""
@@ -59,6 +60,7 @@ def test_levels_are_predicted_days_later(name):
     assert rms(days[7]) < seventh_db
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", KINDS)
 def test_beams_are_known_and_the_error_is_stated(name):
     deviations = [one.deviation_error_db(ATTITUDES) for one in worlds(name)]
@@ -90,6 +92,7 @@ def test_what_a_missing_track_costs():
     assert figures[7] > 1.5 * rms([one.level_error_db(7) for one in worlds("nominal")])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", KINDS)
 def test_noise_is_what_the_world_has(name):
     for one in worlds(name):
@@ -106,6 +109,7 @@ def test_noise_is_what_the_world_has(name):
             assert np.median(whole) > 0.12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", KINDS)
 def test_healthy_worlds_have_no_warning_of_the_joint_fit(name):
     for one in worlds(name):

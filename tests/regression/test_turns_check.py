@@ -5,6 +5,7 @@
 
 import math
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 import pytest
@@ -43,6 +44,7 @@ HONEST = (
 )
 
 
+@lru_cache(maxsize=1)
 def flown(name, seed):
     """Return the input of a calibration and all its powers, as an archive has them."""
     ground = ground_of(World(scenario_named(name, operation_days=AFTER_DAYS), seed))
@@ -90,7 +92,7 @@ def require_lag(lag_s, seeds, calibrate=calibrate_geometry):
         assert not check.reason or f"{side} the star tracker" in check.reason
 
 
-@pytest.mark.parametrize("lag_s", [30.0, -890.0])
+@pytest.mark.parametrize("lag_s", [30.0, pytest.param(-890.0, marks=pytest.mark.slow)])
 def test_a_lag_is_found_and_named(lag_s):
     require_lag(lag_s, (1,))
 
@@ -100,6 +102,7 @@ def by_paper(data, config):
     return calibrate_paper(replace(data, quiet_references=()), config)
 
 
+@pytest.mark.slow
 def test_a_lag_is_found_by_the_paper_method():
     require_lag(900.0, (1,), by_paper)
 
@@ -135,6 +138,7 @@ def require_scales(found):
             assert (f"are the references in {SCALES[scale]}?" in check.reason) == bool(SCALES[scale]), check.reason
 
 
+@pytest.mark.slow
 def test_a_unit_is_found_and_named():
     require_scales(scale_figures((1,)))
 
@@ -144,7 +148,7 @@ def test_units_over_seeds():
     require_scales(scale_figures(range(1, 21)))
 
 
-@pytest.mark.parametrize("how", ["another spacecraft", "roll stands still"])
+@pytest.mark.parametrize("how", ["another spacecraft", pytest.param("roll stands still", marks=pytest.mark.slow)])
 def test_another_sensor_is_named_and_rain_is_not(how):
     def angles(attitude_deg):
         if how == "another spacecraft":
@@ -172,6 +176,7 @@ def require_honest(worlds, calibrate=calibrate_geometry):
     assert refused == []
 
 
+@pytest.mark.slow
 def test_honest_turns_are_not_refused():
     require_honest([("nominal", 1), ("weather_turns", 12), ("weather_near", 1)])
 

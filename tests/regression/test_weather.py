@@ -138,7 +138,9 @@ def test_rain_teaches_no_wrong_angle_over_worlds(scenario, seed):
 
 
 SEEDS = range(1, 11)
-SLOPES_DB_MIN = (0.05, *(pytest.param(slope, marks=pytest.mark.nightly) for slope in (0.1, 0.3, 1.0)), 3.0)
+#: slopes of a fade, dB/min, and seeds; continuous integration flies four of the slowest and of the fastest
+FADES = [(0.05, SEEDS[:4]), (3.0, SEEDS[:4])]
+FADES += [pytest.param(slope, SEEDS, marks=pytest.mark.nightly) for slope in (0.05, 0.1, 0.3, 1.0, 3.0)]
 #: rows are a minute apart
 LATEST_STOP_MIN = 20
 
@@ -155,11 +157,11 @@ def _stop_delay_min(slope_db_min, seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("slope_db_min", SLOPES_DB_MIN)
-def test_a_fade_stops_control_in_time(slope_db_min):
+@pytest.mark.parametrize(("slope_db_min", "seeds"), FADES)
+def test_a_fade_stops_control_in_time(slope_db_min, seeds):
     """In ten seeds a slope, control stops within 20 minutes after 0.3 dB."""
-    delays = [_stop_delay_min(slope_db_min, seed) for seed in SEEDS]
-    print(f"slope {slope_db_min} dB/min, seeds {list(SEEDS)}: delays {delays} min")
+    delays = [_stop_delay_min(slope_db_min, seed) for seed in seeds]
+    print(f"slope {slope_db_min} dB/min, seeds {list(seeds)}: delays {delays} min")
     in_time = [delay is not None and delay <= LATEST_STOP_MIN for delay in delays]
     # 95 % of the fifty cases may miss two in all; ten of one slope may miss none
     assert all(in_time)
@@ -188,6 +190,7 @@ def test_ten_quiet_days_raise_one_false_alarm_at_most(name, seed):
     assert alarms <= 1
 
 
+@pytest.mark.slow
 def test_the_rule_that_is_never_met_would_fail():
     """Control that never stops misses the bound: the figure cannot be met by doing nothing."""
     config = ChainConfig()

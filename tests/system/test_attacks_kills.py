@@ -88,7 +88,7 @@ def job_of(client: httpx.Client, started: dict[str, Any]) -> dict[str, Any]:
     return dict(client.get(f"/api/v1/jobs/{started['job']}").json())
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.nightly)])
 def test_an_ended_service_goes_on_with_its_calibration_and_its_replay(
     start_service, spacecraft, carriers, tmp_path, number
 ):

@@ -121,6 +121,7 @@ def test_of_many_at_once_one_gets_through(client, service):
     assert ground.get("/control")["sent_impulse_n_m_s"] == command["gross_impulse_n_m_s"]
 
 
+@pytest.mark.slow
 def test_a_service_killed_between_release_and_report_never_releases_twice(serving, tmp_path):
     path = tmp_path / "soo.db"
     seed_archive(f"sqlite:///{path}", record("killed"))

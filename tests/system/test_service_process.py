@@ -48,6 +48,7 @@ def test_it_announces_its_address_once_is_ready_never_writes_the_given_key_and_e
     assert [text for text in (KEY, "another-key-than-ours", "Traceback") if text in written] == []
 
 
+@pytest.mark.slow
 def test_no_answer_lets_a_browser_guess_its_type(start_service):
     service = start_service(environment={"SOO_BOOTSTRAP_KEY": KEY, "SOO_ALLOWED_ORIGINS": "https://elsewhere.test"})
     address = urlsplit(service.await_announcement()["url"])
@@ -68,6 +69,7 @@ def test_no_answer_lets_a_browser_guess_its_type(start_service):
     assert answer(f"GET / HTTP/1.1\r\nX: {'x' * 70_000}") == 431
 
 
+@pytest.mark.slow
 def test_a_browser_at_two_services_of_one_host_is_signed_in_and_out_at_each_by_itself(start_service, tmp_path):
     services = [start_service(database=tmp_path / name) for name in ("one.db", "two.db")]
     one, two = (f"{service.await_announcement()['url']}/api/v1/session" for service in services)
@@ -95,6 +97,7 @@ def test_a_browser_at_two_services_of_one_host_is_signed_in_and_out_at_each_by_i
         assert httpx.get(one, headers={"Cookie": kept}).status_code == 401
 
 
+@pytest.mark.slow
 def test_sigterm_ends_it_at_once_beside_open_streams_and_idle_connections(start_service, spacecraft, carriers):
     service = start_service()
     with service.client() as client, service.client() as streaming:
@@ -118,6 +121,7 @@ def test_a_signal_during_the_start_ends_it_without_a_trace(start_service, tmp_pa
     assert "Traceback" not in service.written()
 
 
+@pytest.mark.slow
 def test_a_second_start_on_the_same_database_knows_everything(start_service, spacecraft, carriers, tmp_path):
     # the first one makes the database
     service = start_service(database=tmp_path / "soo.db")
@@ -166,6 +170,7 @@ CANNOT_BE = {
 }
 
 
+@pytest.mark.slow
 def test_what_cannot_be_served_is_said_and_ends_with_code_two(refused_starts, tmp_path):
     # what a test does not name could be served
     others = ["--port", "0", "--database", f"sqlite:///{tmp_path / 'soo.db'}"]
@@ -267,6 +272,7 @@ def test_start_and_idle_service_stay_small(start_service):
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "use-the-python-client.md"
 
 
+@pytest.mark.slow
 def test_examples_do_what_they_claim(start_service):
     examples = re.findall(r"^```python\n(.*?)^```$", PAGE.read_text(), re.MULTILINE | re.DOTALL)
     assert len(examples) >= 5

@@ -220,14 +220,15 @@ class WindowAnswer(Answer):
 Row = TypeVar("Row")
 
 
-class RowList(Answer, Generic[Row]):
+# of members of lists and pages nothing is said, and the search of the source for it takes 10 ms a kind of rows
+class RowList(Answer, Generic[Row], use_attribute_docstrings=False):
     """All rows of one kind."""
 
     rows: list[Row]
     next: str | None = None
 
 
-class RowPage(Answer, Generic[Row]):
+class RowPage(Answer, Generic[Row], use_attribute_docstrings=False):
     """One page of rows that stand in a range."""
 
     range: WindowAnswer

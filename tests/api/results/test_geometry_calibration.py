@@ -100,6 +100,7 @@ async def test_powers_of_another_clock_are_activated_for_a_reason_alone(bench, p
     assert stored["override_reason"] == "the front end was wrong, its rows are"
 
 
+@pytest.mark.slow
 async def test_an_operation_inside_is_named(bench, payload):
     request = payload.request
     burn = {
@@ -118,6 +119,7 @@ async def test_a_sensor_that_never_spoke_fails_in_words(bench, payload):
     assert "have angles of earth_sensor" in reported["error"]
 
 
+@pytest.mark.slow
 async def test_announced_turns_prove_the_sign_of_all_axes(bench, payload):
     begin_us = payload.request.turns.start_us
     angles = turned_angles()

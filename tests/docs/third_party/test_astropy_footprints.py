@@ -122,6 +122,7 @@ def place_of(direction: np.ndarray) -> tuple[float, float]:
     return LONGITUDE_DEG + float(np.degrees(np.arctan2(y, x))), float(np.degrees(latitude))
 
 
+@pytest.mark.slow
 @pytest.mark.system
 def test_footprints_of_the_page(page: dict[str, Any]) -> None:
     assert len(page["attitude"].epochs) == len(ANGLES_DEG)

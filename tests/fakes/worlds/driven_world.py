@@ -16,7 +16,7 @@ import numpy as np
 from kept_results import kept
 from simulated_gain import attitude_gain_db
 
-from analyzer_sim.export import export_npz
+from analyzer_sim.export import export_arrays
 from analyzer_sim.world.payload.level_terms import dishes_loss_db
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
@@ -145,7 +145,8 @@ class DrivenWorld:
         self._by = by
         self.simulated = World(scenario, seed)
         path = directory / f"{scenario.name}-{seed}.npz"
-        export_npz(self.simulated, path, sweep_noise)
+        # as a user exports it, less the compression: an eighth of the time of a world
+        np.savez(path, **export_arrays(self.simulated, sweep_noise))
         ground, self.truth = (reported := read_world(path)).ground, reported.truth
         if order is not None:
             ground = replace(ground, carriers=tuple(ground.carriers[k] for k in order))

@@ -149,7 +149,7 @@ def test_a_folder_with_a_database_is_not_used_again(kept, compiled_environment):
     assert "name another folder" in ran.stderr
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.nightly)])
 def test_a_signal_ends_it_with_all_its_processes(number, compiled_environment, tmp_path):
     command = [sys.executable, "-m", "service", "demo", "--keep", str(tmp_path / "kept")]
     with (tmp_path / "out").open("wb") as output:

@@ -361,6 +361,7 @@ def link(client: httpx.Client, name: str) -> dict[str, Any]:
     return next((each for each in links if each["id"] == name), {})
 
 
+@pytest.mark.slow
 def test_a_station_of_two_makes(
     start_service: Callable[..., Any], spacecraft: dict[str, Any], carriers: list[dict[str, Any]], tmp_path: Path
 ) -> None:

@@ -120,6 +120,7 @@ def numbers(line: str) -> list[Any]:
     return [first, source, *(float(each) if each and each[0] == "-" else each for each in levels)]
 
 
+@pytest.mark.slow
 def test_exit_codes_tell_what_became_of_the_rows(
     start_service: Any,
     spacecraft: dict[str, Any],

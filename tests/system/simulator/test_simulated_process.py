@@ -126,6 +126,7 @@ def test_truth_log_counts_every_trace_that_left(start: Start, tmp_path: Path) ->
         assert list(sweeps[item["sweep"]]["power_dbm"]) == lines[0]["carriers"]
 
 
+@pytest.mark.slow
 def test_half_a_trace_is_not_one_that_left(start: Start, tmp_path: Path) -> None:
     path = tmp_path / "truth.jsonl"
     made = start("--truth-log", str(path), "--fault", "half_block", "--fault", "nan:2")
@@ -162,6 +163,7 @@ def test_device_clear_and_abort_in_mid_sweep_at_real_pace(real_pace: Process) ->
         assert session.ask("*OPC?") == "1", "the long sweep that was aborted does not hold up the short one"
 
 
+@pytest.mark.slow
 def test_continuous_sweeping_at_real_pace_gives_fresh_traces(real_pace: Process) -> None:
     with real_pace.connect() as line:
         line.write(f"{SETUP} 0.2;:INIT:CONT ON\n".encode())
@@ -187,6 +189,7 @@ def front_end(folder: Path, ports: dict[str, Any], service_port: int) -> subproc
     return subprocess.Popen(command, env=os.environ | {"SOO_KEY": "key"}, stderr=subprocess.PIPE, text=True)
 
 
+@pytest.mark.slow
 def test_every_trace_that_left_is_a_row_and_every_row_is_true(start: Start, tmp_path: Path) -> None:
     print(f"seed {SEED}")
     world = World(scenario_named("nominal", operation_days=0.1), SEED)

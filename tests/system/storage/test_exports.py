@@ -227,6 +227,7 @@ ROWS = 500
 SEED = 11
 
 
+@pytest.mark.slow
 def test_every_format_goes_round(
     start_service: Any,
     spacecraft: dict[str, Any],
@@ -357,6 +358,7 @@ def bench(start_service, spacecraft, carriers, tmp_path):
     assert "Traceback" not in service.written()
 
 
+@pytest.mark.slow
 def test_steps_of_an_hour_and_a_leap_second_cost_no_row(bench):
     assert bench.send() == (5, 0, [])
     bench.step(+1)

@@ -155,7 +155,7 @@ def test_an_unstated_torque_loses_nothing_in_two_days(ground, seed):
     held(flown(ground, RigidPlant(seed, residual_torque(seed)), 46.0), 2760)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_published_method_loses_nothing_in_twelve_hours(ground):
     held(flown(ground, RigidPlant(2, residual_torque(2)), 12.0, method="paper"), 720, 3.0)
 

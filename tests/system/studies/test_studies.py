@@ -48,6 +48,7 @@ def test_perfect_sensing_holds_the_craft_that_is_lost_without_control():
     assert lost.sent == 0
 
 
+@pytest.mark.slow
 def test_the_chain_holds_roll_and_pitch_over_a_link():
     flight = flown(Sensing.AUTOMATIC)
     rows = round(HOURS * 60.0)
@@ -112,12 +113,12 @@ def test_a_loop_on_board_holds_on_angles_and_stops_without_them():
 
 
 #: of a row each 120 to 300 s, all three shapes of the torque among them: the others take minutes
-QUICK_SEEDS = {6, 7, 8, 12}
+SHORT_SEEDS = dict.fromkeys((6, 7, 8, 12), pytest.mark.slow)
 
 
 @pytest.mark.parametrize(
     "plant_seed",
-    [pytest.param(seed, marks=() if seed in QUICK_SEEDS else pytest.mark.nightly) for seed in range(1, 25)],
+    [pytest.param(seed, marks=SHORT_SEEDS.get(seed, pytest.mark.nightly)) for seed in range(1, 25)],
 )
 def test_no_varied_plant_is_lost(plant_seed):
     """Yaw within 1 deg is wanted of 23; what it is says the evidence."""

@@ -3,6 +3,7 @@
 import json
 from email.message import Message
 from importlib.metadata import PackageNotFoundError
+from typing import Any
 
 import pytest
 
@@ -11,41 +12,50 @@ from service.api.protocol.openapi import MEANINGS, describe_properties, render_p
 from service.api.views import shipped
 from service.records.setting import unit_of
 
-SCHEMAS = json.loads(render_openapi())["components"]["schemas"]
-PROPERTIES = [
-    (name, field, content)
-    for name, schema in SCHEMAS.items()
-    for field, content in schema.get("properties", {}).items()
-]
+#: schema, name and content of each
+Properties = list[tuple[str, str, dict[str, Any]]]
 
 
-def test_every_property_has_a_description() -> None:
-    assert len(PROPERTIES) > 1400
+@pytest.fixture(scope="module")
+def document() -> dict[str, Any]:
+    """Return the OpenAPI document."""
+    return json.loads(render_openapi())
+
+
+@pytest.fixture(scope="module")
+def properties(document: dict[str, Any]) -> Properties:
+    """Return every property."""
+    schemas = document["components"]["schemas"].items()
+    return [(name, *each) for name, schema in schemas for each in schema.get("properties", {}).items()]
+
+
+def test_every_property_has_a_description(properties: Properties) -> None:
+    assert len(properties) > 1400
     # a unit alone is no description
-    said = {f"{name}.{field}": content["description"].partition("; ")[0] for name, field, content in PROPERTIES}
+    said = {f"{name}.{field}": content["description"].partition("; ")[0] for name, field, content in properties}
     assert [name for name, text in said.items() if len(text) < 3] == []
 
 
-def test_a_unit_that_the_name_ends_with_is_said() -> None:
+def test_a_unit_that_the_name_ends_with_is_said(properties: Properties) -> None:
     silent = [
         f"{name}.{field}"
-        for name, field, content in PROPERTIES
+        for name, field, content in properties
         if (unit := unit_of(field)) is not None and not states_unit(content["description"], unit)
     ]
     assert silent == []
 
 
 @pytest.mark.parametrize("axis", ["yaw", "roll", "pitch"])
-def test_an_angle_says_its_sign(axis: str) -> None:
-    angles = [content["description"] for _, field, content in PROPERTIES if field == f"{axis}_deg"]
+def test_an_angle_says_its_sign(properties: Properties, axis: str) -> None:
+    angles = [content["description"] for _, field, content in properties if field == f"{axis}_deg"]
     assert len(angles) >= 10
     assert all("positive" in text for text in angles), angles
 
 
-def test_every_meaning_is_used() -> None:
-    of_schemas = {f"{name.removesuffix('Input')}.{field}" for name, field, _ in PROPERTIES}
-    of_schemas |= {f"{name}.{field}" for name, field, _ in PROPERTIES}
-    fields = {field for _, field, _ in PROPERTIES}
+def test_every_meaning_is_used(properties: Properties) -> None:
+    of_schemas = {f"{name.removesuffix('Input')}.{field}" for name, field, _ in properties}
+    of_schemas |= {f"{name}.{field}" for name, field, _ in properties}
+    fields = {field for _, field, _ in properties}
     assert [name for name in MEANINGS if name not in (of_schemas if "." in name else fields)] == []
 
 
@@ -56,8 +66,7 @@ def test_a_description_of_the_record_goes_before_the_table() -> None:
     assert described == {"yaw_deg": "Mean angle; deg.", "roll_deg": MEANINGS["roll_deg"][:-1] + "; deg.", "odd": ""}
 
 
-def test_every_operation_and_shape_stands_on_the_page():
-    document = json.loads(render_openapi())
+def test_every_operation_and_shape_stands_on_the_page(document: dict[str, Any]) -> None:
     page = render_page(document)
     for path, operations in document["paths"].items():
         assert path in page
@@ -67,8 +76,8 @@ def test_every_operation_and_shape_stands_on_the_page():
         assert f"id='{name}'" in page
 
 
-def test_the_page_loads_nothing_from_elsewhere():
-    page = render_page(json.loads(render_openapi()))
+def test_the_page_loads_nothing_from_elsewhere(document: dict[str, Any]) -> None:
+    page = render_page(document)
     assert "<script" not in page
     assert "http://" not in page
     assert "https://" not in page

@@ -315,6 +315,7 @@ def test_a_calibration_with_a_warning_stays_a_draft_until_it_is_accepted(service
     assert len(service.alignments) == 1
 
 
+@pytest.mark.slow
 def test_a_second_calibration_with_the_same_figures_leaves_one_draft(service: Service, folder: Path) -> None:
     propose(folder, *STATED, DAY_FIRST, LAST_DAY)
     with_windows(folder)

@@ -295,6 +295,7 @@ def options(world: World, tmp_path: Path) -> list[str]:
     return found
 
 
+@pytest.mark.slow
 def test_the_report_of_quiet_days(options: list[str], tmp_path: Path) -> None:
     folder = tmp_path / "report"
     result = plan_run(*options, "--report", str(folder), "--json")
@@ -329,6 +330,7 @@ def test_the_report_of_quiet_days(options: list[str], tmp_path: Path) -> None:
         assert (folder / name).read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_turns_within_the_quiet_days_are_dated(world: World, options: list[str], tmp_path: Path) -> None:
     ground = world.ground
     whole, names = ground.phases, tuple(carrier.id for carrier in ground.carriers)

@@ -167,6 +167,7 @@ def sensed(minutes: Sequence[int]) -> list[tuple[TelemetryRecord, PolarizationRe
     return told
 
 
+@pytest.mark.slow
 def test_measured_motion_is_the_same_live_after_restarts_and_in_a_replay(opened_archive, new_station):
     """Momentum of the wheels, rates beside the loop and a polarimeter: every row to the last bit."""
     station = new_station(opened_archive)

@@ -66,6 +66,7 @@ def assert_same(station, through):
     assert text(station.commands()) == text(through.commands())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_services_that_are_killed_anywhere_change_no_row(
     seed, lived_archive, opened_archive, new_station, often, monkeypatch
@@ -170,6 +171,7 @@ def test_a_restart_says_how_far_it_is_and_ends_when_the_service_stops(busy, monk
     assert chain.is_running
 
 
+@pytest.mark.slow
 def test_a_replay_goes_on_from_the_newest_state_before_its_span(opened_archive, new_station, often, monkeypatch):
     monkeypatch.setattr(jobs, "LATEST", 1000)
     monkeypatch.setattr(supervisor, "_STEP_S", 0.0)

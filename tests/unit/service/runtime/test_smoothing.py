@@ -197,6 +197,7 @@ def test_live_rows_torques_and_sequences_stay_as_they_are(busy):
     assert busy.storage.archive.head(SC) == head
 
 
+@pytest.mark.slow
 def test_a_process_that_was_killed_leaves_whole_parts_and_the_next_one_goes_on(new_station, lived_archive, monkeypatch):
     whole, killed = new_station(lived_archive), new_station(lived_archive)
     made(whole)
@@ -287,6 +288,7 @@ def test_rows_that_lie_weeks_back_are_left_out_and_said(busy, caplog, monkeypatc
     assert rows[0].epoch_us > at(299) - 20 * MINUTE - 60 * MINUTE - 2 * GRID_US
 
 
+@pytest.mark.slow
 def test_retention_and_sealing_take_the_series_along(busy):
     made(busy)
     rows = smoothed(busy)

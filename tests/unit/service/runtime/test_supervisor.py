@@ -354,6 +354,7 @@ def live_and_die(station, rng):
     return is_killed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(30))
 def test_the_rows_are_those_of_a_service_that_was_never_killed(
     seed, lived_archive, opened_archive, new_station, monkeypatch

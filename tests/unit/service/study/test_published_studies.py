@@ -60,6 +60,7 @@ def test_all_tables_keep_every_figure():
 NAMES = ["bi-plane", "cycles", "ladder", "stability"]
 
 
+@pytest.mark.slow
 def test_four_figures_as_images(tmp_path):
     paths = figures.draw_figures(tmp_path)
     assert [path.name for path in paths] == [f"limit-cycles-{name}.png" for name in NAMES]

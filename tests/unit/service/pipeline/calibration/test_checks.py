@@ -317,8 +317,8 @@ def refusal(signs, calibrate=calibrate_geometry):
     ("matrix", "names"),
     [
         (YAW, "likely flipped yaw, or flipped roll, pitch ("),
-        (ROLL, "likely flipped roll, or flipped yaw, pitch ("),
-        (PITCH, "likely flipped pitch, or flipped yaw, roll ("),
+        pytest.param(ROLL, "likely flipped roll, or flipped yaw, pitch (", marks=pytest.mark.slow),
+        pytest.param(PITCH, "likely flipped pitch, or flipped yaw, roll (", marks=pytest.mark.slow),
     ],
 )
 def test_a_flipped_axis_is_refused_by_name(signs, calibrate, matrix, names):
@@ -328,6 +328,7 @@ def test_a_flipped_axis_is_refused_by_name(signs, calibrate, matrix, names):
     assert "roll > 0 moves stations South, pitch > 0 West" in text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EXCHANGED)
 def test_exchanged_axes_are_refused_by_name(signs, name):
     assert f"likely {name}" in refusal(reported(signs, EXCHANGED[name]))
@@ -353,11 +354,13 @@ def announced(signs, sign):
     )
 
 
+@pytest.mark.slow
 def test_the_common_sign_is_unproven_without_and_proven_with_announced_turns(signs):
     assert not calibrate_geometry(signs, CONFIG).signs.is_common_proven
     assert calibrate_geometry(replace(signs, corrections=announced(signs, 1.0)), CONFIG).signs.is_common_proven
 
 
+@pytest.mark.slow
 def test_a_sensor_with_all_axes_flipped_contradicts_the_announced_turns(signs):
     flipped = reported(signs, -np.eye(3))
     assert not calibrate_geometry(flipped, CONFIG).signs.is_common_proven
@@ -380,7 +383,10 @@ def test_yaw_turns_that_are_too_small_prove_nothing(signs):
     assert any(text.startswith("the sign of yaw is unproven: yaw was turned by 0.") for text in result.warnings)
 
 
-@pytest.mark.parametrize(("axis", "name"), [(0, "yaw"), (1, "roll"), (2, "pitch")])
+@pytest.mark.parametrize(
+    ("axis", "name"),
+    [(0, "yaw"), *(pytest.param(*each, marks=pytest.mark.slow) for each in [(1, "roll"), (2, "pitch")])],
+)
 def test_a_scale_that_is_off_is_warned_of(signs, axis, name):
     scale = np.ones(3)
     scale[axis] = 1.9
@@ -488,6 +494,7 @@ def test_a_stated_torque_of_the_wrong_sign_is_told(told):
     assert "differs from onboard.momentum.torque by" in text
 
 
+@pytest.mark.slow
 def test_nothing_is_said_where_the_torque_is_fed_forward(told):
     spacecraft = told.spacecraft
     onboard = replace(spacecraft.onboard, fed_forward_torque=FedForwardTorque(epoch_us=0))

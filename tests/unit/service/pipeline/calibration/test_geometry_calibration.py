@@ -40,6 +40,11 @@ def result(data):
     return calibrate_geometry(data, CONFIG)
 
 
+def others_slow(first, *others):
+    """Return cases of which every change runs the first: a calibration takes a second."""
+    return [first, *(pytest.param(*each, marks=pytest.mark.slow) for each in others)]
+
+
 def with_powers(data, change):
     """Return the input with the powers of both windows changed."""
     parts = [replace(part, power_dbm=change(part.power_dbm.copy())) for part in (data.quiet, data.turns)]
@@ -178,7 +183,8 @@ def test_a_transponder_under_level_control_with_two_carriers(data):
 
 
 @pytest.mark.parametrize(
-    ("band", "downlink_hz", "share"), [("C", 3.7e9, 0.1), ("Ka", 19.7e9, 2.5), ("fss", 7.4e9, 0.5), ("bss", 12e9, 1.0)]
+    ("band", "downlink_hz", "share"),
+    others_slow(("C", 3.7e9, 0.1), ("Ka", 19.7e9, 2.5), ("fss", 7.4e9, 0.5), ("bss", 12e9, 1.0)),
 )
 def test_bands_take_their_share_of_the_rain(data, band, downlink_hz, share):
     for k in range(3):
@@ -241,6 +247,7 @@ def test_missing_rows_and_a_storm_are_survived(payload, data):
     assert slopes(result) == pytest.approx(payload.slopes(), abs=0.08)  # six sigma of a healthy fit
 
 
+@pytest.mark.slow
 def test_windows_that_overlap_count_each_row_once(data):
     wider = replace(data.request, quiet=replace(data.request.quiet, stop_us=data.request.turns.stop_us))
     both = replace(
@@ -279,6 +286,7 @@ def test_work_on_one_carrier_leaves_the_others_alone(data, result):
 # ---- several sensors ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_each_axis_may_have_a_sensor_of_its_own(payload, data):
     def of(series, source, axes):
         angles = np.full_like(series.attitude_deg, NAN)
@@ -350,7 +358,7 @@ def test_a_short_quiet_window():
     assert kinds(GeometryPayload.make(8, quiet_days=2.0).data()) == {"quiet window"}
 
 
-@pytest.mark.parametrize(("axis", "sides"), [(0, "+yaw, -yaw"), (1, "+roll, -roll"), (2, "+pitch, -pitch")])
+@pytest.mark.parametrize(("axis", "sides"), others_slow((0, "+yaw, -yaw"), (1, "+roll, -roll"), (2, "+pitch, -pitch")))
 def test_an_axis_that_was_not_turned_is_named(axis, sides):
     turned = turned_angles()
     turned[:, axis] = 0.0
@@ -389,7 +397,7 @@ def moved(track, rows, east_deg=0.0):
     )
 
 
-@pytest.mark.parametrize(("rows", "east_deg"), [(6, 0.0), (12, 0.0), (0, 50.0), (10, 50.0)])
+@pytest.mark.parametrize(("rows", "east_deg"), others_slow((6, 0.0), (12, 0.0), (0, 50.0), (10, 50.0)))
 def test_a_track_that_the_daily_change_contradicts(rows, east_deg):
     """Half-hourly track: three and six hours ahead, and of satellites 50 deg away."""
     data = GeometryPayload.make(8).data(noise_db=0.12)
@@ -526,6 +534,7 @@ def test_nothing_has_its_columns():
     assert found.usual_measurements == 1.0
 
 
+@pytest.mark.slow
 def test_a_calibration_by_means_tells_the_noise_of_a_measurement_and_the_steps_of_the_analyzer():
     data = GeometryPayload.make(8, quiet_days=2.0).data(noise_db=0.02)
     stepped_dbm = np.round(data.quiet.power_dbm / 0.1) * 0.1

@@ -9,6 +9,8 @@ from filter_models import reference_states
 from mixture_models import CALM, PRIOR, STORM, branches, jacobian
 
 import service.core.estimation.filtering.anchor as module
+from service.core.compiled_entry import CompiledEntry
+from service.core.estimation.filtering import carrier_watch, motion_watch, prediction
 from service.core.estimation.filtering.anchor import (
     DRY,
     ERROR_SIGMA_DEG,
@@ -61,6 +63,12 @@ def level_deg(state):
     return state.watch["level_deg"][0]
 
 
+@pytest.fixture(scope="module")
+def calm():
+    """State and answers of twenty minutes in which nothing is wrong; `run` changes a copy."""
+    return run(filter_models.carrier_model(carriers=12), 20)
+
+
 def error_deg(found):
     return mixture_error_deg(found)[0]
 
@@ -70,18 +78,17 @@ def test_they_are_asked_every_minute_at_first_and_every_ten_minutes_then(model):
     assert [minute for minute, answer in enumerate(answers, 1) if answer] == [*range(1, 21), 30, 40, 50, 60]
 
 
-def test_more_minutes_make_a_lower_level(model):
-    first, _ = run(model, 1)
-    last, _ = run(model, 20)
+def test_more_minutes_make_a_lower_level(model, calm):
+    first, last = run(model, 1)[0], calm[0]
     assert (level_deg(last) < level_deg(first)).all()
     assert level_deg(last)[1] < 0.15
 
 
-def test_an_error_of_the_attitude_contradicts(model):
+def test_an_error_of_the_attitude_contradicts(model, calm):
     _, answers = run(model, 20, (0.0, 0.15, 0.0))
     assert is_contradicted(answers[-1])
     np.testing.assert_allclose(error_deg(answers[-1])[1:], [0.15, 0.0], atol=0.04)
-    assert not is_contradicted(run(model, 20)[1][-1])
+    assert not is_contradicted(calm[1][-1])
 
 
 @pytest.mark.parametrize("error_deg", [(0.5, 0.0, 0.0), (0.0, 0.03, 0.0), (0.0, 0.0, -0.04)])
@@ -89,11 +96,10 @@ def test_yaw_alone_and_small_errors_are_left_to_the_filter(error_deg):
     assert not is_contradicted(Mixture(np.ones(1), np.array([error_deg]), np.full((1, 3, 3), 1e-6), np.ones((1, 1))))
 
 
-def test_a_reference_that_is_not_known_tells_nothing(model):
+def test_a_reference_that_is_not_known_tells_nothing(model, calm):
     known = np.where(np.arange(12) < 8, np.nan, 0.0)
     few, _ = run(model, 20, state=begun(model).with_carriers(aligned_reference_db=known))
-    all_of_them, _ = run(model, 20)
-    assert (level_deg(few) > level_deg(all_of_them)).all()
+    assert (level_deg(few) > level_deg(calm[0])).all()
 
 
 def levels_now_deg(model, state, epoch_us, sigma_deg):
@@ -104,8 +110,8 @@ def levels_now_deg(model, state, epoch_us, sigma_deg):
     return np.array([found["protection_deg"], found["nominal_deg"]])
 
 
-def test_the_level_grows_with_sigma_and_ends_after_half_an_hour(model):
-    state, _ = run(model, 20)
+def test_the_level_grows_with_sigma_and_ends_after_half_an_hour(model, calm):
+    state, _ = calm
     sigma, now = state.gaussian.attitude_sigma_deg, 20 * MINUTE_US
     both = np.array([state.watch["level_deg"][0], state.watch["nominal_deg"][0]])
     np.testing.assert_array_equal(levels_now_deg(model, state, now, 0.5 * sigma), both)
@@ -117,12 +123,13 @@ def test_the_level_grows_with_sigma_and_ends_after_half_an_hour(model):
     assert np.isnan(levels_now_deg(model, begun(model), MINUTE_US, sigma)).all()
 
 
-def test_noise_of_rows_that_is_declared_raises_the_level(model):
-    _, answers = run(model, 20, noise_db=2.0)
+def test_noise_of_rows_that_is_declared_raises_the_level(model, calm):
+    noisy, answers = run(model, 20, noise_db=2.0)
     assert not is_contradicted(answers[-1])
-    assert (level_deg(run(model, 20, noise_db=2.0)[0])[1:] > 1.5 * level_deg(run(model, 20)[0])[1:]).all()
+    assert (level_deg(noisy)[1:] > 1.5 * level_deg(calm[0])[1:]).all()
 
 
+@pytest.mark.slow
 def test_each_carrier_has_its_likeliest_hypothesis_and_since_when(model):
     assert np.isnan(begun(model).carriers["probability"]).all()
     dry, _ = run(model, 30)
@@ -137,6 +144,7 @@ def test_each_carrier_has_its_likeliest_hypothesis_and_since_when(model):
     assert after["hypothesis_since_us"][0] == before["hypothesis_since_us"][0] == 0
 
 
+@pytest.mark.slow
 def test_reports_of_the_weather_make_wet_likelier_or_less_likely(model):
     loss_db = np.where(np.arange(12) == 5, 0.3, 0.0)
 
@@ -147,16 +155,15 @@ def test_reports_of_the_weather_make_wet_likelier_or_less_likely(model):
     assert dry_probability(1.0) < dry_probability(np.nan) < dry_probability(0.0)
 
 
-def test_reports_of_rain_that_is_none_raise_the_level_and_turn_nothing(model):
+def test_reports_of_rain_that_is_none_raise_the_level_and_turn_nothing(model, calm):
     told, answers = run(model, 20, reported=1.0)
     assert not is_contradicted(answers[-1])
-    assert (level_deg(told) > level_deg(run(model, 20)[0])).all()
+    assert (level_deg(told) > level_deg(calm[0])).all()
 
 
-def test_old_references_are_less_sure(model):
-    young, _ = run(model, 20)
+def test_old_references_are_less_sure(model, calm):
     old, _ = run(model, 20, state=begun(model, -90 * 86_400_000_000))
-    assert (level_deg(old) > level_deg(young)).all()
+    assert (level_deg(old) > level_deg(calm[0])).all()
 
 
 def by_hand(design, residual_db, hypotheses):
@@ -278,6 +285,12 @@ def test_an_unlikely_combination_counts_once_it_is_likelier_than_the_risk():
     assert levels(1e-3)[2] == pytest.approx(levels(1e-5)[2], rel=0.01)
 
 
+#: six hundred mixtures take 25 s of plain Python, a third of it with the compiler's time
+MODULES = (prediction, motion_watch, carrier_watch, module)
+COMPILED_MIXTURE, COMPILED_LEVELS = (CompiledEntry(each, MODULES) for each in (solve_mixture, protection_levels_deg))
+
+
+@pytest.mark.slow
 def test_errors_of_the_assumed_kind_pass_the_level_as_often_as_it_says():
     """Truth is drawn from the hypotheses themselves; a risk of 2 % is seen in 600 draws."""
     rng = np.random.default_rng(31)
@@ -289,7 +302,7 @@ def test_errors_of_the_assumed_kind_pass_the_level_as_often_as_it_says():
         at = np.arange(12), np.array(chosen)
         truth = rng.normal(0.0, PRIOR)
         residual_db = design @ truth + known.mean_db[at] + np.sqrt(known.variance_db2[at]) * rng.normal(size=12)
-        level = levels_deg(solve_mixture(design, residual_db, known, PRIOR), risk)
+        level = COMPILED_LEVELS(COMPILED_MIXTURE(design, residual_db, known, PRIOR), np.zeros(3), risk)
         passed += np.abs(truth[:3]) > level
     # two standard deviations of a share of 2 % in 600 draws are 1.1 %
     assert (passed / draws < risk + 0.012).all()

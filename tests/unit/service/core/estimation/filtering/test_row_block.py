@@ -126,6 +126,7 @@ def test_a_state_given_is_never_changed(story):
     assert bits(story.state) == before
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_plain_python_gives_what_the_compiled_filter_gives(story, whole):
     state, result = plainly_taken(story.model, story.state, story.block)

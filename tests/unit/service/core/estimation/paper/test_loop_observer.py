@@ -137,6 +137,7 @@ def test_yaw_follows_from_roll_within_what_the_observer_says():
     assert abs(mean[0] - truth[0]) < 0.6 * truth[0]
 
 
+@pytest.mark.slow
 def test_what_was_commanded_is_known_at_once_and_turns_as_it_does():
     rows = motion_of(np.zeros(3), 1.0, lambda hour: np.array([0.3, -0.2, 0.4]) * (hour == 0.0))
     still = FilterSettings(coupling_per_h=COUPLING)
@@ -148,6 +149,7 @@ def test_what_was_commanded_is_known_at_once_and_turns_as_it_does():
         np.testing.assert_allclose(mean[ATTITUDE], angles, atol=0.01)
 
 
+@pytest.mark.slow
 def test_levels_that_drift_together_keep_the_angles_uncertain():
     rows = motion_of(np.zeros(3), 24.0)
     _, covariance = flown(rows, UNKNOWN, 0.02)[-1]
