@@ -244,6 +244,30 @@ def test_a_process_that_dies_again_and_again_fails_its_job(storage: SqlStorage) 
     assert storage.results.job(job).error == "analysis.ended: its worker process ended unexpectedly; start it again"
 
 
+def test_after_a_process_that_dies_the_thread_rests(
+    storage: SqlStorage, monkeypatch: pytest.MonkeyPatch, wait: Any
+) -> None:
+    monkeypatch.setattr(job_runner, "POLL_S", 0.0)
+    rests, deaths = list[int](), list[int]()
+
+    class Wake(threading.Event):
+        def wait(self, timeout: float | None = None) -> bool:
+            rests.append(len(deaths))
+            return super().wait(timeout)
+
+    def dying(_job: Job, _open: frozenset[str]) -> float:
+        deaths.append(1)
+        raise UnavailableError("analysis.ended", "its worker process ended unexpectedly; start it again")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(threading, "Event", Wake)
+        runner, job = JobRunner(storage, CLOCK, dying), add(storage, JobKind.REPLAY)
+    runner.start()
+    wait(lambda: storage.results.job(job).state is JobState.FAILED)
+    runner.stop()
+    assert {1, 2, 3} <= set(rests)
+
+
 def test_standing_work_is_queued_when_it_is_due_and_told_of_when_it_fails(
     storage: SqlStorage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
