@@ -345,6 +345,7 @@ def test_kernels_agree(fly):
     assert np.abs(one.yaw_deg - other.yaw_deg).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_yaw_from_anywhere(fly):
     for yaw_deg in (120.0, 170.0):
         flight = fly(rigid_spacecraft(), Start(yaw_deg=yaw_deg, is_literal=False), 8000.0)

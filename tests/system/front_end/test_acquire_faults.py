@@ -247,7 +247,9 @@ def test_a_service_that_goes_and_comes_back_has_every_row_once(caplog: pytest.Lo
     assert "rows wait" in caplog.text
 
 
-@pytest.mark.parametrize("fault", ["500", "stored_500", "drop", "stored_drop", "slow"])
+@pytest.mark.parametrize(
+    "fault", ["500", "stored_500", "drop", "stored_drop", pytest.param("slow", marks=pytest.mark.slow)]
+)
 def test_a_service_that_fails_in_the_middle_neither_loses_nor_doubles(fault: str) -> None:
     with bench(service_timeout_s=SHORT_S if fault == "slow" else PATIENCE_S) as made:
         made.recorder.slow_s = 2.0 * SHORT_S

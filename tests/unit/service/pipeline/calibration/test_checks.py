@@ -478,6 +478,7 @@ def test_days_without_angles_are_told(told):
     assert "no sensor tells the angles" in text
 
 
+@pytest.mark.slow
 def test_a_stated_torque_of_the_wrong_sign_is_told(told):
     spacecraft = told.spacecraft
     momentum = spacecraft.onboard.momentum

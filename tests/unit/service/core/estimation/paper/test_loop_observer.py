@@ -126,6 +126,7 @@ def test_too_few_carriers_make_no_fix(carriers):
     assert not lasting_deg2(SLOPES, np.arange(16) < carriers).any()
 
 
+@pytest.mark.slow
 def test_yaw_follows_from_roll_within_what_the_observer_says():
     torque = np.array([0.04, -0.08, 0.05])
     rows = motion_of(torque, 8.0)

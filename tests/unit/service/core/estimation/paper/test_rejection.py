@@ -402,6 +402,7 @@ def test_a_gain_of_power_is_no_matter_of_the_gate_but_of_three_sigmas():
     assert not np.any(result.reason == RejectionReason.GATE)
 
 
+@pytest.mark.slow
 def test_a_carrier_blamed_for_the_fault_of_another_comes_back():
     returned = 0
     for seed in range(40):
