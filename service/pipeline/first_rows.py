@@ -22,11 +22,12 @@ from service.core.estimation.filtering.row_block import empty_block, empty_resul
 from service.core.estimation.paper import row as paper_row
 from service.core.estimation.paper.downlink_fade import LIMITS
 from service.core.estimation.paper.loop_observer import initial_estimate
+from service.pipeline.carrier_model.expected_level import WRITE_LEVELS
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.compute_command import NO_CARRY, compute_command
 from service.pipeline.estimation.paper.runner import TAKE_ROWS
 from service.pipeline.inputs.known_motion import CommandedMotion, commanded_arrays
-from service.records.catalogue import ControlSettings, Method, Release, Site, Spacecraft
+from service.records.catalogue import ControlSettings, Method, Onboard, Release, Site, Spacecraft
 from service.records.levels.attitude import Axes, row_without_attitude
 
 _MINUTE_US = 60_000_000
@@ -69,6 +70,7 @@ def _take_paper_rows() -> None:
     epochs_us, power_dbm = np.full(1, _MINUTE_US, dtype=np.int64), np.full((1, _CARRIERS), -50.0)
     block = paper_row.PaperBlock(epochs_us, np.zeros(1), power_dbm, is_late=False)
     levels, results = np.zeros((1, _CARRIERS), paper_row.LEVEL), np.zeros(1, paper_row.RESULT)
+    WRITE_LEVELS(power_dbm, 0, np.zeros((_CARRIERS, 2)), epochs_us, 0, np.empty_like(power_dbm))
     TAKE_ROWS(model, state, paper_row.room(state, 1), commanded_arrays(CommandedMotion(0), 0), block, levels, results)
 
 
@@ -81,6 +83,8 @@ def _compute_command(release: Release) -> None:
         ((3000.0, 0.0, 0.0), (0.0, 3000.0, 0.0), (0.0, 0.0, 3000.0)),
         0.01,
         control=ControlSettings(release=release),
+        # without them nothing is planned
+        onboard=Onboard(fast_loop=True, forecast_mode=True),
     )
     angles = Axes(0.01, 0.02, -0.01)
     row = replace(
@@ -91,7 +95,9 @@ def _compute_command(release: Release) -> None:
         control_allowed=True,
         control_allowed_axes=(True, True, True),
     )
-    compute_command(row, spacecraft, NO_CARRY, 60.0, TorqueConfig())
+    if not compute_command(row, spacecraft, NO_CARRY, 60.0, TorqueConfig()).command.control_allowed:
+        message = "the made-up row leads to no torque, so nothing that plans one was compiled"
+        raise ValueError(message)
 
 
 def _payload(carriers: int) -> CarrierModel:

@@ -223,7 +223,7 @@ class ExpectedLevel:
         while start < len(epochs_us):
             day = int(epochs_us[start] // _DAY_US)
             knots_dbm = self._day(day) if self._is_interpolated else self._at(epochs_us[start : start + 1])
-            start = _WRITE_LEVELS(knots_dbm, day * _DAY_US, self._solar_db, epochs_us, start, levels)
+            start = WRITE_LEVELS(knots_dbm, day * _DAY_US, self._solar_db, epochs_us, start, levels)
         return levels
 
     def mean_dbm(self, epochs_us: IntArray) -> FloatArray:
@@ -269,4 +269,4 @@ def _write_levels(
     return number
 
 
-_WRITE_LEVELS = CompiledEntry(_write_levels, (sys.modules[__name__],))
+WRITE_LEVELS = CompiledEntry(_write_levels, (sys.modules[__name__],))
