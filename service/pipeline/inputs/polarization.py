@@ -38,7 +38,7 @@ _STEEP_DEG = 0.5
 #: share of a daily wave that changes from day to day, and time in which it becomes another, h
 _CHANGED_SHARE, _CHANGED_H = 0.5, 720.0
 #: time between two knots of the turn of the orbit, and days of them that are kept
-_KNOT_US, _MOST_DAYS = 300 * US_PER_S, 40
+_KNOT_US, _MOST_DAYS = 60 * US_PER_S, 40
 #: records of one polarimeter that are kept
 _MOST = 120
 
@@ -133,9 +133,9 @@ def orbit_turn_deg(
 
 
 class OrbitTurn:
-    """Turn of the orbit about a line of sight, quickly: cubics through knots of five minutes.
+    """Turn of the orbit about a line of sight, quickly: cubics through knots of a minute.
 
-    Within 1e-6 deg of `orbit_turn_deg`, by the corners between the cubics of the track; its own value near the ends.
+    Within 1e-8 deg of `orbit_turn_deg`, by the corners between the cubics of the track; its own value near the ends.
 
     Parameters
     ----------
