@@ -205,17 +205,14 @@ journal = Table(
     Index("journal_start", "spacecraft_key", "kind", "start_us", "number", "stop_us"),
     sqlite_with_rowid=False,
 )
-# SQLite takes ten rows for those of a spacecraft where nothing says more, and then reads its whole journal for a key
+# without figures the planner of SQLite assumes ten rows a spacecraft, and reads a whole journal to find a key
 _JOURNAL_SIZES = (
     "ANALYZE journal",
     """INSERT INTO sqlite_stat1 (tbl, idx, stat) VALUES ('journal', 'journal', '1000000 100000 1'),
     ('journal', 'journal_key', '1000000 100000 100 1'), ('journal', 'journal_start', '1000000 100000 100 1 1 1')""",
-    # reads the figures again
+    # so that the connection which makes the tables reads them too
     "ANALYZE sqlite_master",
 )
-for _statement in _JOURNAL_SIZES:
-    _sizes: DDL = DDL(_statement)  # type: ignore[no-untyped-call]
-    event.listen(journal, "after_create", _sizes.execute_if(dialect="sqlite"))
 
 #: the newest revision of each operation
 operation = Table(
@@ -403,10 +400,14 @@ BEGIN SELECT RAISE(ABORT, 'audit entries are never changed'); END
 """
     for change in ("UPDATE", "DELETE")
 )
-for _dialect, _statements in (("postgresql", _POSTGRESQL_GUARD), ("sqlite", _SQLITE_GUARD)):
+for _table, _dialect, _statements in (
+    (journal, "sqlite", _JOURNAL_SIZES),
+    (audit_entry, "postgresql", _POSTGRESQL_GUARD),
+    (audit_entry, "sqlite", _SQLITE_GUARD),
+):
     for _statement in _statements:
-        _guard: DDL = DDL(_statement)  # type: ignore[no-untyped-call]
-        event.listen(audit_entry, "after_create", _guard.execute_if(dialect=_dialect))
+        _definition: DDL = DDL(_statement)  # type: ignore[no-untyped-call]
+        event.listen(_table, "after_create", _definition.execute_if(dialect=_dialect))
 
 #: one row: the newest entry; locking it orders all who write entries
 audit_head = Table(

@@ -1,6 +1,6 @@
 """Composition root: settings become adapters, adapters become an application.
 
-The only module that names db, beside `job_process`, the same for the process that does the jobs.
+It alone names db, and `job_process`, the composition root of the process that does the jobs.
 """
 
 import asyncio

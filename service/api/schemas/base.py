@@ -37,8 +37,8 @@ from service.records.record_fields import AXIS_NAMES, FieldKind, RecordField, re
 
 #: any dataclass
 Record = TypeVar("Record", bound=Any)
-#: any class of members
-Described = TypeVar("Described", bound=type[Any])
+#: any class whose members have docstrings behind them
+DocumentClass = TypeVar("DocumentClass", bound=type[Any])
 _EPOCH_SCHEMA = {"type": "string", "format": "date-time", "examples": ["2026-11-21T03:02:32.011250Z"]}
 
 #: rows of a batch beyond which decoding stops, whatever the settings say
@@ -65,10 +65,12 @@ def _docstrings(module: str) -> Mapping[str, Mapping[str, str]]:
     """Return the docstrings behind the members of the classes of a module, by class and member."""
     names = vars(sys.modules[module])
     source = "".join(linecache.getlines(names.get("__file__") or "", names))
-    return {each.name: dict(_described(each)) for each in ast.parse(source).body if isinstance(each, ast.ClassDef)}
+    return {
+        each.name: dict(_member_docstrings(each)) for each in ast.parse(source).body if isinstance(each, ast.ClassDef)
+    }
 
 
-def _described(node: ast.ClassDef) -> Iterator[tuple[str, str]]:
+def _member_docstrings(node: ast.ClassDef) -> Iterator[tuple[str, str]]:
     for member, behind in pairwise(node.body):
         match member, behind:
             case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
@@ -77,7 +79,7 @@ def _described(node: ast.ClassDef) -> Iterator[tuple[str, str]]:
                 pass
 
 
-def with_descriptions(document: Described) -> Described:
+def with_descriptions(document: DocumentClass) -> DocumentClass:
     """Return a class whose members are described by the docstrings behind them.
 
     pydantic's `use_attribute_docstrings` does the same, but looks for the source of each class in the frames of the

@@ -50,7 +50,7 @@ class Comparison:
 
 
 def rows_of(version: str, export: Iterable[bytes]) -> VersionRows:
-    """Return the pieces of the Parquet file of ``GET archive/attitude:export`` as arrays."""
+    """Return the rows of a Parquet file of ``GET archive/attitude:export``, which comes in pieces, as arrays."""
     figures = [f"{axis}_{what}" for what in ("deg", "sigma_deg", "protection_deg") for axis in AXES]
     with TemporaryFile() as file:
         file.writelines(export)
@@ -70,8 +70,8 @@ def compared(first: VersionRows, second: VersionRows) -> Comparison:
         return Comparison(first, second, np.empty(0, np.int64), np.empty(0, np.int64))
     begin_us = min(side.epochs_us[0] for side in sides)
     most = 1 + max(side.places.max() for side in sides)
-    names = [(side.epochs_us - begin_us) * most + side.places for side in sides]
-    _, *positions = np.intersect1d(names[0], names[1], assume_unique=True, return_indices=True)
+    keys = [(side.epochs_us - begin_us) * most + side.places for side in sides]
+    _, *positions = np.intersect1d(keys[0], keys[1], assume_unique=True, return_indices=True)
     return Comparison(first, second, positions[0], positions[1])
 
 

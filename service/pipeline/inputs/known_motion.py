@@ -71,7 +71,7 @@ class CommandedMotion:
 
     #: changes before this epoch are part of the alignment
     since_us: int
-    #: in order of their beginnings: of many that lie ahead a row looks at none
+    #: in order of their beginnings, so that a row looks at none of those ahead
     motions: tuple[_Motion, ...] = ()
     late_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
     late_rate_deg_h: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -172,27 +172,27 @@ def _rest(motion: _Motion, from_us: int) -> _Motion | None:
 
 
 def _with(
-    commanded: CommandedMotion, reported: tuple[_Motion, ...], newest_us: int, *, are_kept: bool = True
+    commanded: CommandedMotion, further: tuple[_Motion, ...], newest_us: int, *, are_kept: bool = True
 ) -> CommandedMotion:
     """Return the changes with some more; only their past counts where they are not kept."""
     late_deg, late_rate = np.array(commanded.late_deg), np.array(commanded.late_rate_deg_h)
-    for motion in reported:
+    for motion in further:
         change_deg, rate_deg_h, lag_deg = _between(motion, commanded.since_us, newest_us)
         late_deg = late_deg + change_deg + lag_deg
         late_rate = late_rate + rate_deg_h
     motions = commanded.motions
-    for motion in reported if are_kept else ():
+    for motion in further if are_kept else ():
         place = bisect_right(motions, motion.start_us, key=_start_us)
         motions = (*motions[:place], motion, *motions[place:])
-    kept = _unfinished(motions, newest_us)
+    kept = _ongoing(motions, newest_us)
     return replace(commanded, motions=kept, late_deg=_triple(late_deg), late_rate_deg_h=_triple(late_rate))
 
 
-def _unfinished(motions: tuple[_Motion, ...], newest_us: int) -> tuple[_Motion, ...]:
+def _ongoing(motions: tuple[_Motion, ...], newest_us: int) -> tuple[_Motion, ...]:
     """Return the motions that go on after an epoch."""
-    begun = bisect_right(motions, newest_us, key=_start_us)
-    kept = tuple(motion for motion in motions[:begun] if motion.stop_us > newest_us)
-    return motions if len(kept) == begun else kept + motions[begun:]
+    count = bisect_right(motions, newest_us, key=_start_us)
+    kept = tuple(motion for motion in motions[:count] if motion.stop_us > newest_us)
+    return motions if len(kept) == count else kept + motions[count:]
 
 
 def consume(commanded: CommandedMotion, from_us: int, to_us: int) -> tuple[KnownMotion, CommandedMotion]:
@@ -216,14 +216,14 @@ def consume(commanded: CommandedMotion, from_us: int, to_us: int) -> tuple[Known
 
 def without_past(commanded: CommandedMotion, newest_us: int) -> CommandedMotion:
     """Return the changes after rows up to an epoch have consumed theirs and all late ones."""
-    return CommandedMotion(commanded.since_us, _unfinished(commanded.motions, newest_us))
+    return CommandedMotion(commanded.since_us, _ongoing(commanded.motions, newest_us))
 
 
 def commanded_arrays(commanded: CommandedMotion, until_us: int) -> Commanded:
     """Return the changes that begin before an epoch as compiled functions take them."""
-    begun = commanded.motions[: bisect_left(commanded.motions, until_us, key=_start_us)]
-    motions = np.zeros(len(begun), MOTION)
-    for k, each in enumerate(begun):
+    present = commanded.motions[: bisect_left(commanded.motions, until_us, key=_start_us)]
+    motions = np.zeros(len(present), MOTION)
+    for k, each in enumerate(present):
         motions[k] = each.start_us, each.stop_us, each.change_deg, each.rate_change_deg_h
     return Commanded(motions, np.array((commanded.late_deg, commanded.late_rate_deg_h)), commanded.since_us)
 

@@ -152,8 +152,8 @@ class JobRunner:
         self._pieces, self._turns = 0, dict[str, int]()
         #: processes that have died over a job
         self._deaths: dict[str, int] = {}
-        #: whether the newest piece ended with its process; what ends processes may last
-        self._has_died = False
+        #: whether the process of the newest piece ended: what ended it may end the next one too
+        self._has_process_ended = False
         self._polled_s = self._began_s = time.monotonic()
         self._wake = threading.Event()
         self._is_stopping = False
@@ -212,7 +212,7 @@ class JobRunner:
                 is_busy = False
                 if not self._is_stopping:
                     _LOG.warning("jobs cannot go on now, they are tried again: %s", error, exc_info=error)
-            if (self._has_died or not is_busy) and not self._is_stopping:
+            if (self._has_process_ended or not is_busy) and not self._is_stopping:
                 self._wake.wait(POLL_S)
 
     def _queue_due(self) -> None:
@@ -240,7 +240,7 @@ class JobRunner:
 
     def _do_piece(self, job: Job, open_ids: frozenset[str]) -> None:
         """Do a piece of a job, and store how far it is or how it ended."""
-        self._has_died = False
+        self._has_process_ended = False
         try:
             progress = self._advance(job, open_ids)
         except Exception as error:  # noqa: BLE001 a job's fault must reach its operator, whatever it is
@@ -255,7 +255,7 @@ class JobRunner:
     def _on_fault(self, job: Job, error: Exception) -> None:
         """Let a job go on later, or store why it failed."""
         if isinstance(error, UnavailableError):
-            self._has_died = True
+            self._has_process_ended = True
             self._deaths[job.id] = self._deaths.get(job.id, 0) + 1
             if self._is_stopping or self._deaths[job.id] < _ATTEMPTS:
                 _LOG.warning("%s goes on in another process: %s", job.id, error)

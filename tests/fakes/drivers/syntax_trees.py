@@ -7,5 +7,5 @@ from pathlib import Path
 
 @cache
 def tree_of(path: Path) -> ast.Module:
-    """Return the syntax tree of a file; nobody may change it."""
+    """Return the syntax tree of a file, which all tests share."""
     return ast.parse(path.read_text())

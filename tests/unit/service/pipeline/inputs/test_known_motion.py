@@ -74,7 +74,7 @@ def test_what_was_commanded_before_the_alignment_belongs_to_it():
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_corrections_may_be_told_in_any_order_and_a_row_is_given_none_that_lies_ahead(seed):
+def test_corrections_may_come_in_any_order_and_a_row_is_given_none_that_lies_ahead(seed):
     rng = np.random.default_rng(seed)
     starts = np.sort(rng.integers(0, 500, 300))
     corrections = [Correction(s * MINUTE, (s + 1 + k % 40) * MINUTE, Axes(1.0, k, -k)) for k, s in enumerate(starts)]
@@ -84,9 +84,9 @@ def test_corrections_may_be_told_in_any_order_and_a_row_is_given_none_that_lies_
     for k in rng.permutation(len(corrections)):
         shuffled = heard(shuffled, corrections[k], None, 0)
     epochs_us = [0, *(np.sort(rng.choice(520, 60, replace=False)) + 20) * MINUTE]
-    for told in (in_order, shuffled):
-        given = commanded_arrays(told, 100 * MINUTE).motions["start_us"]
-        np.testing.assert_array_equal(given, starts[starts < 100] * MINUTE)
+    for commanded in (in_order, shuffled):
+        starts_us = commanded_arrays(commanded, 100 * MINUTE).motions["start_us"]
+        np.testing.assert_array_equal(starts_us, starts[starts < 100] * MINUTE)
     np.testing.assert_allclose(walked(shuffled, epochs_us)[0], walked(in_order, epochs_us)[0], rtol=EXACT, atol=1e-9)
     total_deg = sum(np.array(each.change_deg) for each in corrections)
     np.testing.assert_allclose(walked(in_order, [*epochs_us, 600 * MINUTE])[0][-1], total_deg, rtol=EXACT, atol=1e-9)
